@@ -1,6 +1,6 @@
-"""`scripts/bench COMMAND …`: the benchmarks by name; without a command, the list of them.
+"""`scripts/bench COMMAND …`: runs a benchmark by name; without a command, lists them.
 
-A command's module is imported when the command is run.
+A command's module is imported when the command runs.
 """
 
 from __future__ import annotations
@@ -16,19 +16,19 @@ COMMANDS = {
     "all": ("reproduce:all_command", "Measure everything again and write every table and figure: many hours."),
     "tables": ("reproduce:tables_command", "Write every Markdown table again from the stored results."),
     "eval": ("motion.command:command", "Every codec and rival over recordings, to equal errors."),
-    "report": ("motion.command:report_command", "The report of eval again, from its results."),
+    "report": ("motion.command:report_command", "Write the report of eval again, from its results."),
     "liu2006": ("papers.liu2006:command", "Tables and figures of Liu and McMillan (2006)."),
     "hou2014": ("papers.hou2014:command", "Tables and figures of Hou et al. (2014)."),
     "lien2006": ("papers.lien2006:command", "Tables and figures of Lien and Bajcsy (2006)."),
     "tempo": ("tempo:command", "tempo against SZ3 and hou2014 on CMU recordings: docs/tempo/results.md."),
     "tempo-parts": ("tempo_parts:command", "tempo without each of its parts."),
     "rotations": ("rotations:command", "tempo with rotations, against positions alone."),
-    "chunk-lengths": ("chunk_lengths:command", "What shorter chunks of tempo cost, which lose less when damaged."),
+    "chunk-lengths": ("chunk_lengths:command", "Bytes of shorter chunks of tempo, which lose less when damaged."),
     "bounds": ("bounds:command", "tempo and SZ3 under fine hard maxima, and encoding speed."),
-    "corrections": ("corrections:command", "the lattice engine in corrections under a hard bound."),
-    "unknown": ("unknown:command", "tempo on points that its prior does not know."),
+    "corrections": ("corrections:command", "The lattice engine in corrections under a hard bound."),
+    "unknown": ("unknown:command", "tempo on points outside its prior."),
     "cloud": ("cloud.command:command", "Codecs of point clouds, ours and rivals."),
-    "cloud-grid": ("cloud.grid:command", "How closely bodycast tracks a body, over 768 conditions."),
+    "cloud-grid": ("cloud.grid:command", "Tracking errors of bodycast, over 768 conditions."),
     "cloud-long": ("cloud.long:command", "Long sequences of point clouds, as whole files."),
     "cloud-objects": ("cloud.object_scenes:command", "Props, animals, robes and several people, against an octree."),
     "cloud-points": ("cloud.points:command", "Points within a bound against Draco, at equal error."),
@@ -42,17 +42,17 @@ COMMANDS = {
     "speed": ("speed.command:command", "Speed of codecs, entropy coder and readers, single thread."),
     "speed-table": ("speed.against_sz3:command", "tempo and SZ3 in one process: decoding, encoding, windows, opening."),
     "speed-published": ("speed.published:command", "Speed of hou2014 and liu2006 to mean errors."),
-    "long": ("speed.long_recordings:command", "Hours of motion, encoded in blocks and at once: time, memory, bytes."),
+    "long": ("speed.long_recordings:command", "Hours of motion, encoded in blocks and whole: time, memory, bytes."),
     "viewer": ("viewer:command", "The page of mocodec view in Chromium: seeking, playing, sizes."),
-    "readers": ("readers.command:command", "What ezc3d and py-c3d read from the same files; bytes of model outputs."),
-    "fetch": ("fetch:command", "Download recordings from where they are published."),
+    "readers": ("readers.command:command", "Our readers against ezc3d and py-c3d; bytes of model outputs."),
+    "fetch": ("fetch:command", "Download recordings from their publishers."),
     "test": ("tests.command:command", "Test the benchmarks themselves."),
 }
 """Module and attribute of each command, and its line in the list."""
 
 
 class Commands(click.Group):
-    """The commands of COMMANDS."""
+    """The group of the commands in COMMANDS."""
 
     def list_commands(self, ctx: click.Context) -> list[str]:
         return list(COMMANDS)

@@ -1,12 +1,12 @@
-"""Hard maxima from the noise of the cameras upwards: `scripts/bench bounds` → docs/results/bounds.json.
+"""Hard bounds from the cameras' noise upwards: `scripts/bench bounds` → docs/results/bounds.json.
 
     marker files ──► tempo and SZ3 at the same largest distance ──► payload bytes ─┐
     joints       ──► tempo with all engines, and with the transform alone ─────────┴─► tables of docs/tempo/results.md
     some of both ──► frames encoded per second of processor time ──────────────────┘
 
-Bytes are payloads (shared bytes and chunks), without names and container. SZ3 bounds each coordinate, so its bound is
-searched until the largest distance in space is the one asked for; its gap mask is counted. Every bound is checked by a
-measurement of its own. Joints are coded with the prior of the package, which some of these people are part of.
+Bytes are payloads (shared bytes and chunks), without names and container. SZ3 bounds each coordinate, so its setting is
+searched until the largest distance in space equals the bound; its gap mask counts. Every bound is measured after
+decoding. Joints use the prior of the package, whose training data contain some of these people.
 """
 
 from __future__ import annotations
@@ -42,12 +42,12 @@ JOINT_BOUNDS_M = (0.0001, 0.0005)
 SPEED_FILES = ("cmu/c3d/85_12.c3d", "cmu/c3d/85_02.c3d", "field-c3d/Vicon.c3d", "field-c3d/Movement_trial.c3d")
 SPEED_BOUNDS_M = (0.0001, 0.001, 0.005, 0.01)
 SPEED_RUNS, LONGEST_RUNS_S = 2, 5.0
-"""Each is encoded so often, less often where it takes longer."""
+"""Runs of each measurement, and the time after which no other run starts."""
 MANY_POINTS, MANY_FRAMES, NOISE_M = 500, 600, 0.0002
 
 
 def bare(motion: Motion) -> Motion:
-    """Positions, names and rate alone."""
+    """The motion without extras and rotations."""
     return replace(motion, extras={}, rotations=None)
 
 
@@ -62,7 +62,7 @@ def many_points() -> Motion:
 
 
 def marker_files(root: Path) -> Iterator[tuple[str, Motion]]:
-    """Recordings of markers with enough points and frames, by name. Prints those that are left out, and why."""
+    """Recordings of markers with enough points and frames, by name. Prints skipped ones with the reason."""
     for path in sorted(p for folder in FOLDERS for p in (root / folder).iterdir()):
         motion, problem = datasets.loaded(datasets.labelled(path, root))
         if motion is None or problem:
@@ -74,7 +74,7 @@ def marker_files(root: Path) -> Iterator[tuple[str, Motion]]:
 
 
 def largest_distance(original: Floats, decoded: Floats) -> float:
-    """The largest distance of a sample, metres. Raises ValueError where gaps differ."""
+    """The largest distance of a sample, metres. Raises ValueError if gaps differ."""
     squares = np.zeros(original.shape[:2])
     for axis in range(3):
         squares += (original[..., axis] - decoded[..., axis]) ** 2
@@ -84,7 +84,7 @@ def largest_distance(original: Floats, decoded: Floats) -> float:
 
 
 def coded(codec: Tempo, motion: Motion, bound: float) -> dict[str, float]:
-    """Payload bytes and the largest error. Raises ValueError where the bound is not kept."""
+    """Payload bytes and the largest error. Raises ValueError if the bound is not kept."""
     encoded = codec.encode(motion)
     error = largest_distance(motion.positions, Tempo.decode(encoded).positions)
     if not error <= bound:
@@ -93,7 +93,7 @@ def coded(codec: Tempo, motion: Motion, bound: float) -> dict[str, float]:
 
 
 def of_markers(name: str, motion: Motion) -> Iterator[dict[str, Any]]:
-    """A record for each bound, of tempo and SZ3."""
+    """Yields a record of tempo and SZ3 for each bound."""
     sz3 = rivals.Sz3()
     for bound in BOUNDS_M:
         ours = coded(Tempo(max_error=bound), motion, bound)
@@ -109,7 +109,7 @@ def of_markers(name: str, motion: Motion) -> Iterator[dict[str, Any]]:
 
 
 def of_joints(name: str, motion: Motion) -> Iterator[dict[str, Any]]:
-    """A record for each bound, of all engines and of the transform alone."""
+    """Yields a record of all engines and of the transform alone for each bound."""
     for bound in JOINT_BOUNDS_M:
         yield {
             "file": name, "frames": len(motion), "points": motion.points, "raw_bytes": motion.raw_bytes,
@@ -119,7 +119,7 @@ def of_joints(name: str, motion: Motion) -> Iterator[dict[str, Any]]:
 
 
 def speeds(root: Path) -> list[dict[str, Any]]:
-    """Frames encoded per second of processor time, the fastest of some runs in a process that has encoded before."""
+    """Frames encoded per second of processor time: the fastest of some runs, after a warm-up."""
     recordings = {Path(name).name: bare(datasets.labelled(root / name, root).load()) for name in SPEED_FILES}
     recordings["500 points"] = many_points()
     records: list[dict[str, Any]] = []
@@ -168,7 +168,7 @@ def marker_rows(records: Sequence[Mapping[str, Any]]) -> list[list[str]]:
 
 
 def compared_rows(records: Sequence[Mapping[str, Any]], bounds: Sequence[float], rival: str) -> list[list[str]]:
-    """For each file the ratio at each bound, and how many times the rival's."""
+    """Rows of files: the ratio at each bound, and in brackets the factor over the rival's."""
     rows: list[list[str]] = []
     for file in dict.fromkeys(r["file"] for r in records):
         at = {r["max_error_m"]: r for r in records if r["file"] == file}
@@ -181,7 +181,7 @@ def compared_rows(records: Sequence[Mapping[str, Any]], bounds: Sequence[float],
 
 
 def speed_rows(records: Sequence[Mapping[str, Any]]) -> list[list[str]]:
-    """For each file its size, and the speed at each bound."""
+    """Rows of files: the size, and the speed at each bound."""
     rows: list[list[str]] = []
     for file in dict.fromkeys(r["file"] for r in records):
         of_file = {r["max_error_m"]: r for r in records if r["file"] == file}

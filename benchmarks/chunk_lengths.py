@@ -1,9 +1,9 @@
-"""What shorter chunks cost: `scripts/bench chunk-lengths` → docs/results/chunk_lengths.json.
+"""Bytes of shorter chunks: `scripts/bench chunk-lengths` → docs/results/chunk_lengths.json.
 
     recordings ──► windows of 3, 5 and 10 s, and whole ──► tempo with chunks of 1, 2 and 4 s ──► bytes of each
 
-A damaged chunk loses all its frames, so a chunk is the least that a damaged byte costs. The bytes are those of the
-whole file without extras.
+A damaged byte costs at least one chunk, since a damaged chunk loses all its frames. Bytes are those of the whole file
+without extras.
 """
 
 from __future__ import annotations
@@ -33,7 +33,7 @@ TARGETS: tuple[dict[str, Any], ...] = ({"max_error": 0.005}, {"max_error": 0.001
 
 
 def windows(motion: Motion) -> dict[str, Motion]:
-    """The clips to measure: the middle of the recording at each length that it has, and all of a long one."""
+    """The clips to measure: the middle of the recording, at each length up to its own; all of a long recording."""
     bare = replace(motion, extras={}, rotations=None)
     clips: dict[str, Motion] = {}
     for seconds in LENGTHS_S:
@@ -49,7 +49,7 @@ def windows(motion: Motion) -> dict[str, Motion]:
 
 
 def measure(root: Path) -> list[dict[str, Any]]:
-    """One record for each clip and target: bytes with each length of chunks. Prints a line for each."""
+    """One record for each clip and target: bytes with each chunk length. Prints a line for each."""
     records: list[dict[str, Any]] = []
     for name in FILES:
         for length, clip in windows(api.read(root / name, Motion)).items():
@@ -61,7 +61,7 @@ def measure(root: Path) -> list[dict[str, Any]]:
 
 
 def table(records: list[dict[str, Any]]) -> list[str]:
-    """A Markdown table: how many more bytes chunks of 2 and 1 s take than 4 s, the mean over clips of each length."""
+    """A Markdown table: extra bytes of chunks of 2 and 1 s over 4 s, means over clips of each length."""
     lines = ["| clip | clips × targets | chunks of 2 s | chunks of 1 s |", "|---|---|---|---|"]
     for clip in dict.fromkeys(record["clip"] for record in sorted(records, key=lambda r: r["seconds"])):
         sizes = [record["bytes"] for record in records if record["clip"] == clip]
@@ -74,7 +74,7 @@ def table(records: list[dict[str, Any]]) -> list[str]:
 @click.option("--data", type=click.Path(path_type=Path), default=datasets.SHARED, help="Folder of the recordings.")
 @click.option("--tables", is_flag=True, help="Only write the table from the stored results.")
 def command(data: Path, tables: bool) -> None:
-    """Measure what chunks of 1 and 2 s cost against 4 s; write docs/results/chunk_lengths.json and .md."""
+    """Measure the bytes of chunks of 1 and 2 s against 4 s; write docs/results/chunk_lengths.json and .md."""
     if not tables:
         records = results.rounded(measure(data))
         results.write_json(RESULTS, {"machine": machine_description(), "clips": records})

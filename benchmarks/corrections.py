@@ -1,11 +1,11 @@
-"""What a body-centred cubic lattice saves outside tempo's lattice engine: `scripts/bench corrections`.
+"""Savings of a body-centred cubic lattice outside tempo's lattice engine: `scripts/bench corrections`.
 
     markers and joints ──► hou2014, liu2006: payloads with and without the lattice engine in their corrections
-                      └──► tempo: what the lattice could save in corrections and in the direct engine, at most
+                      └──► tempo: upper limit of savings in corrections and in the direct engine
 
-A cell of the body-centred cubic lattice is larger than the cube within the same ball, by `SAVED_BITS` of volume: no
-code for lattice points saves more than this for each point that it codes, where points are as fine as their errors.
-Every payload is decoded, and its bound checked.
+A cell of the body-centred cubic lattice has `SAVED_BITS` more volume than the cube in the same ball: no code for
+lattice points saves more for each coded point, if the steps are as fine as the errors. Every payload is decoded and
+its bound checked.
 """
 
 from __future__ import annotations
@@ -36,10 +36,10 @@ from .tempo import geometric
 RESULTS, TABLE = Path("docs/results/corrections.json"), Path("docs/results/corrections.md")
 BOUNDS_M = (0.0001, 0.0005, 0.001, 0.005)
 MOST_FRAMES = 400
-"""From the middle of each recording."""
+"""Frames from the middle of each recording."""
 SAVED_BITS = float(np.log2(32 / 5**1.5) - np.log2((4 / 3) ** 1.5))
 NEVER = 2.0
-"""A share of samples that is not reached."""
+"""A share of samples that no recording reaches."""
 
 
 def coded_bytes(codec: type[Hou2014 | Liu2006], motion: Motion, bound: float, with_engine: bool) -> int | None:
@@ -58,7 +58,7 @@ def coded_bytes(codec: type[Hou2014 | Liu2006], motion: Motion, bound: float, wi
 
 
 def of_tempo(motion: Motion, bound: float, model: str) -> dict[str, int]:
-    """Bytes of the payload and of its directly coded chunks, and the number of corrections, without repeats."""
+    """Bytes of the payload and of its directly coded chunks, and the number of corrections; without deduplication."""
     encoded = Tempo(max_error=bound, model=model).encode_without_repeats(motion)
     header = StreamHeader.unpack(encoded.shared, motion.points)
     found = {"bytes": encoded.payload_bytes, "direct_bytes": 0, "corrections": 0}
@@ -74,7 +74,7 @@ def of_tempo(motion: Motion, bound: float, model: str) -> dict[str, int]:
 
 
 def of_recording(name: str, kind: str, motion: Motion) -> Iterator[dict[str, Any]]:
-    """A record for each bound."""
+    """Yields a record for each bound."""
     for bound in BOUNDS_M:
         layers = {
             codec.name: {way: coded_bytes(codec, motion, bound, way == "engine") for way in ("cubic", "engine")}
@@ -93,7 +93,7 @@ def share(record: Mapping[str, Any], codec: str) -> float | None:
 
 
 def saved_by_corrections(record: Mapping[str, Any]) -> float:
-    """The largest share of the transform's payload that the lattice could save in its corrections."""
+    """Upper limit of the share of the transform's payload that the lattice could save in its corrections."""
     return SAVED_BITS / 8 * record["transform"]["corrections"] / record["transform"]["bytes"]
 
 

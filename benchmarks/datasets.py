@@ -1,12 +1,12 @@
-"""Recordings to measure on, by name of a data set or by folder, each identified by a hash of its content.
+"""Recordings for measurements, by name of a data set or by folder; a hash of the content identifies each.
 
     package      the recording inside the package
-    synthetic    motion made by `mocodec.testing.synthetic`, always the same
+    synthetic    motion from `mocodec.testing.synthetic`, always the same
     shared       a sample of each kind of the development recordings in `../shared/data`
     shared-all   all development recordings
     FOLDER       every file below it that mocodec reads as motion
 
-A file that cannot be read stays in the list, with the reason.
+An unreadable file stays in the list, with the reason.
 """
 
 from __future__ import annotations
@@ -44,14 +44,14 @@ QUICK = (
 
 @dataclass(frozen=True)
 class Recording:
-    """One recording: its label in tables, its file (None: synthetic or inside the package), its group of a data set."""
+    """One recording: label in tables, file (None: synthetic or inside the package), group within a data set."""
 
     label: str
     path: Path | None = None
     group: str = ""
 
     def load(self) -> Motion:
-        """The motion. Raises MocodecError if the file cannot be read or holds point clouds."""
+        """The motion. Raises MocodecError if the file is unreadable or has point clouds."""
         if self.path is None:
             return synthetic_walk() if self.group == "synthetic" else packaged()
         motion = api.read(self.path)
@@ -78,7 +78,7 @@ def content_hash(motion: Motion) -> str:
 
 
 def recordings(name: str | Path, quick: bool = False) -> list[Recording]:
-    """The recordings of a data set, a folder or a file. quick: fewer of them. Raises BadInput if there are none."""
+    """The recordings of a data set, a folder or a file. quick: fewer. Raises BadInput if there are none."""
     if name == "package":
         return [Recording("package: CMU 01_01", group="package")]
     if name == "synthetic":
@@ -103,7 +103,7 @@ def recordings(name: str | Path, quick: bool = False) -> list[Recording]:
 
 
 def of_folder(folder: Path) -> Iterator[Recording]:
-    """Every file below a folder with the suffix of a motion format, by name."""
+    """All files in a folder and its subfolders with the suffix of a motion format, sorted by name."""
     motion_suffixes = {s for s in formats.FORMATS if s not in (".asf", ".ply")} | {".mocz"}
     for path in sorted(folder.rglob("*")):
         if path.is_file() and path.suffix.lower() in motion_suffixes:
@@ -119,7 +119,7 @@ def labelled(path: Path, folder: Path) -> Recording:
 
 
 def loaded(recording: Recording) -> tuple[Motion | None, str]:
-    """The motion, or None and why it cannot be used."""
+    """The motion, or None and the reason."""
     try:
         motion = recording.load()
     except MocodecError as problem:
@@ -130,7 +130,7 @@ def loaded(recording: Recording) -> tuple[Motion | None, str]:
 
 
 def filled(motion: Motion) -> tuple[Floats, bytes]:
-    """Positions with filled gaps, and the deflated gap mask, which a codec without gaps must store as well."""
+    """Positions with filled gaps, and the deflated gap mask, which a codec without gaps must also store."""
     if not motion.gaps.any():
         return motion.positions, b""
     positions, mask = gaps.fill(motion.positions)

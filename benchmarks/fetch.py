@@ -1,9 +1,9 @@
-"""Downloads recordings of the Carnegie Mellon database from its site.
+"""Downloads recordings of the Carnegie Mellon database from its website.
 
     index page of a subject ──► names of its trials ──► subjects/SS/SS.asf, SS_TT.amc, and SHA256SUMS beside them
 
-The site publishes no checksums, so the first download writes them. A later run checks every existing file against them
-and downloads only missing ones; two people can compare checksums to see whether they measured the same data.
+The site publishes no checksums, so the first download writes them. A later run checks existing files and downloads only
+missing ones. Two people can compare checksums to see whether they measured the same data.
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ BY_HAND = (
 
 
 def get(url: str) -> bytes:
-    """The bytes at a URL. Raises BadInput, with what to do by hand, if it cannot be downloaded."""
+    """The bytes at a URL. If the download fails, raises BadInput with instructions for a manual download."""
     try:
         with urllib.request.urlopen(url, timeout=30) as answer:
             data = answer.read(LARGEST_BYTES + 1)
@@ -42,7 +42,7 @@ def get(url: str) -> bytes:
 
 
 def read_sums(path: Path) -> dict[str, str]:
-    """SHA-256 by file name from a SHA256SUMS file; empty if there is no file."""
+    """SHA-256 by file name, from a SHA256SUMS file; empty without a file."""
     if not path.is_file():
         return {}
     return {name: digest for digest, name in (line.split(maxsplit=1) for line in path.read_text().splitlines() if line)}
@@ -54,7 +54,7 @@ def cmu(
     fetch: Callable[[str], bytes] = get,
     report: Callable[[str], None] = lambda _: None,
 ) -> list[Path]:
-    """Download every trial of these subjects to `folder`; return the paths of their files, old and new.
+    """Download all trials of these subjects to `folder`; return the paths of old and new files.
 
     Raises BadInput without a network or for an unknown subject, Corrupt if a file differs from its checksum.
     """
@@ -88,7 +88,7 @@ def cmu(
 
 @click.group("fetch")
 def command() -> None:
-    """Download recordings from where they are published."""
+    """Download recordings from their publishers."""
 
 
 @command.command("cmu")

@@ -1,4 +1,4 @@
-"""Figures with Matplotlib: a backend without windows and readable logarithmic axes."""
+"""Matplotlib figures: a backend without windows, and readable logarithmic axes."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from mocodec.errors import MissingExtra
 
 
 def pyplot() -> Any:
-    """matplotlib.pyplot without windows. Raises MissingExtra where Matplotlib is not installed."""
+    """matplotlib.pyplot without windows. Raises MissingExtra if Matplotlib is not installed."""
     try:
         import matplotlib
     except ImportError:

@@ -1,9 +1,9 @@
-"""Leave-subjects-out: a prior learned from people is judged on other people.
+"""Leave-subjects-out cross-validation: a prior is tested on people outside its training data.
 
     subject of a recording ──► its fold ──► priors trained without the subjects of the fold ──► installed in tempo
 
-The priors in the package are trained on all people below `../shared/data/cmu/asfamc`. A recording of one of them is
-coded with priors trained without the people of its fold, any other recording with the priors in the package.
+The priors in the package are trained on all people in `../shared/data/cmu/asfamc`. A recording of one of them uses
+priors trained without the people of its fold; any other recording uses the priors in the package.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ FOLDS = (("01", "03"), ("02", "10", "16", "49", "64", "118", "131"))
 
 
 def fold_of(recording: Recording) -> tuple[str, ...] | None:
-    """The fold of a recording's person, by the number before the first underscore of its name; None if in no fold."""
+    """The fold of a recording's person, by the number before the first underscore of its name; None: no fold."""
     if recording.path is None:
         return FOLDS[0] if recording.group == "package" else None
     subject = recording.path.stem.split("_")[0]
@@ -41,7 +41,7 @@ def is_trained(prior: Path) -> bool:
 
 
 def train(fold: Sequence[str], prior: Path) -> None:
-    """Train both priors on everyone but these people and write them to the folder."""
+    """Train both priors without these people, and write them to the folder."""
     prior.mkdir(parents=True, exist_ok=True)
     people = training.people(PEOPLE, fold)
     formats.replace_whole(prior / priors.POINTS_FILE, training.train_points(people))
@@ -49,7 +49,7 @@ def train(fold: Sequence[str], prior: Path) -> None:
 
 
 def trained(folder: Path, fold: Sequence[str]) -> Path:
-    """The folder of the priors without these people, which are trained if they are not there."""
+    """The folder of the priors without these people; trains missing ones."""
     prior = prior_folder(folder, fold)
     if not is_trained(prior):
         train(fold, prior)
@@ -58,7 +58,7 @@ def trained(folder: Path, fold: Sequence[str]) -> Path:
 
 @contextmanager
 def unseen(prior: Path | None) -> Iterator[None]:
-    """Within this, tempo uses the priors of this folder; None: those of the package."""
+    """A context in which tempo uses the priors of this folder; None: those of the package."""
     if prior is None:
         yield
         return

@@ -1,10 +1,10 @@
-"""Recordings of laboratories: `scripts/bench lab` (whole files) and `scripts/bench signals` (their signals alone).
+"""Laboratory recordings: `scripts/bench lab` (whole files) and `scripts/bench signals` (their signals alone).
 
     C3D ─► .mocz, markers within 0.2 mm, signals exact | within 12 bits ─► bytes of the file and its parts, seconds
         ─► zip
     signals ─► ours | as arrays | pcodec, level 12, by channel | xz −9, by channel | FLAC −8, 16-bit channels
 
-Rivals that are not installed are listed as missing (pcodec; soundfile for FLAC).
+Tables list rivals that are not installed as missing (pcodec; soundfile for FLAC).
 """
 
 from __future__ import annotations
@@ -46,7 +46,7 @@ Array = NDArray[Any]
 
 
 def recordings(data: Path) -> Iterator[tuple[str, Path, Motion]]:
-    """Name, path and motion of every C3D file that can be read."""
+    """Name, path and motion of every readable C3D file."""
     for folder in FOLDERS:
         for path in sorted((data / folder).glob("*.c3d")):
             try:
@@ -58,7 +58,7 @@ def recordings(data: Path) -> Iterator[tuple[str, Path, Motion]]:
 
 
 def encoded(motion: Motion, signal_error: str | None) -> dict[str, Any]:
-    """Bytes of the file and its parts, and seconds to encode and decode."""
+    """Bytes of the file and its parts, and seconds of encoding and decoding."""
     start = time.perf_counter()
     blob = mocodec.encode(motion, max_error=MAX_ERROR_M if motion.points else None, signal_error=signal_error)
     middle = time.perf_counter()
@@ -139,7 +139,7 @@ def command(data: Path) -> None:
 
 
 def as_channels(values: Array) -> list[Array]:
-    """Each channel (samples,)."""
+    """The channels, each (samples,)."""
     return [np.ascontiguousarray(column) for column in values.reshape(len(values), -1).T]
 
 
@@ -153,12 +153,12 @@ def pcodec(values: Array) -> int | None:
 
 
 def xz(values: Array) -> int:
-    """The shorter of the samples as they are and channel by channel."""
+    """xz bytes of the samples: interleaved or channel by channel, whichever is shorter."""
     return min(len(lzma.compress(part.tobytes(), preset=9)) for part in (values, np.stack(as_channels(values))))
 
 
 def flac(values: Array) -> int | None:
-    """16-bit channels, one after the other; None for others."""
+    """FLAC bytes of 16-bit channels, one after the other; None for other types."""
     try:
         soundfile = import_module("soundfile")
     except ImportError:
@@ -179,7 +179,7 @@ RIVALS: dict[str, Callable[[Array], int | None]] = {
 
 
 def stored_bytes(signal: Signal) -> int:
-    """Bytes that a file takes for the samples: coded, or as an array where that is shorter."""
+    """Bytes of the samples in a file: coded, or as an array if that is shorter."""
     values, as_array = signal.values, len(arrays.pack(signal.values))
     found = codec.encode(values, signal.rate) if codec.suits(values) else None
     if found is None:
@@ -188,7 +188,7 @@ def stored_bytes(signal: Signal) -> int:
 
 
 def speed() -> dict[str, float]:
-    """Millions of samples a second of 16 channels of counts at 1000 Hz: processor time, the best of some rounds."""
+    """Millions of samples per second of processor time, for 16 channels of counts at 1000 Hz; best of some rounds."""
     random = np.random.default_rng(0)
     time_s = np.arange(SPEED_SAMPLES // 16) / 1000
     values = 2000 * np.sin(time_s[:, None] * np.linspace(0.5, 3, 16)) + random.normal(0, 3, (len(time_s), 16))
@@ -199,7 +199,7 @@ def speed() -> dict[str, float]:
 
 
 def speed_of_files(found: list[Signal]) -> dict[str, float]:
-    """Millions of samples a second of all signals of files, those that the codec takes: as `speed`."""
+    """`speed` for all signals of files that the codec supports."""
     best = [0.0, 0.0]
     samples = 0
     for signal in found:
@@ -213,7 +213,7 @@ def speed_of_files(found: list[Signal]) -> dict[str, float]:
 
 
 def _seconds_of(counts: Array, rate: float = 1000.0) -> tuple[float, float]:
-    """Processor time to encode and to decode."""
+    """Processor time of encoding and of decoding."""
     start = time.process_time()
     found = codec.encode(counts, rate)
     middle = time.process_time()
@@ -225,7 +225,7 @@ def _seconds_of(counts: Array, rate: float = 1000.0) -> tuple[float, float]:
 @click.command("signals")
 @click.option("--data", type=click.Path(path_type=Path), default=Path("../shared/data"), show_default=True)
 def signals_command(data: Path) -> None:
-    """Bytes of the signals of C3D files, exact, and of rivals: docs/results/signals.json."""
+    """Measures exact signals of C3D files, ours and rivals: docs/results/signals.json."""
     rows, all_signals = [], list[Signal]()
     for name, _, motion in recordings(data):
         for path, signal in signals(motion.extras):

@@ -1,4 +1,4 @@
-"""What the results were measured on."""
+"""Description of the machine and versions of a measurement."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ def machine_description() -> dict[str, Any]:
 
 
 def measured_on(machine: dict[str, Any]) -> str:
-    """The sentence of a report that names versions and machine."""
+    """A sentence with versions and machine, for reports."""
     return (
         f"Measured with mocodec {machine.get('mocodec', '?')}, Python {machine.get('python', '?')}, "
         f"NumPy {machine.get('numpy', '?')} on {machine.get('cores', '?')} cores ({machine.get('processor', '?')})."

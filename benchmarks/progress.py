@@ -9,7 +9,7 @@ from contextlib import contextmanager
 
 @contextmanager
 def progress(total: int) -> Iterator[Callable[[str], None]]:
-    """Within this, a bar of `total` steps on standard error; call the result with a description after each step.
+    """A context with a bar of `total` steps on standard error; call its value with a description after each step.
 
     Without a terminal there is no bar.
     """

@@ -1,4 +1,4 @@
-"""All results with one command, and all tables from the stored results."""
+"""Measures all results with one command, and writes all tables from the stored results."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ RESULTS = Path("docs/results")
 
 
 def commands(folder: Path) -> list[list[str]]:
-    """The commands that make every table and figure, in an order in which each finds the results that it needs."""
+    """The commands for all tables and figures, in an order that respects their inputs."""
     output = ["-o", str(folder)]
     return [
         ["eval", "-o", str(folder / __version__)],
@@ -58,7 +58,7 @@ def all_command(output: Path) -> None:
 @click.command("tables")
 @click.argument("folder", default=RESULTS, type=click.Path(exists=True, file_okay=False, path_type=Path))
 def tables_command(folder: Path) -> None:
-    """Write the tables in FOLDER and of docs/tempo/results.md again from the stored JSON; fill the pages."""
+    """Write the tables in FOLDER and in docs/tempo/results.md again from the stored JSON; fill the pages."""
     for path in write_tables(folder):
         click.echo(path)
     if folder == RESULTS:
@@ -72,9 +72,9 @@ def tables_command(folder: Path) -> None:
 
 
 def write_tables(folder: Path) -> list[Path]:
-    """Write the Markdown tables of a result folder; return the paths of those whose results are there.
+    """Write the Markdown tables of the results in a folder; return their paths.
 
-    cloud.md is left out: the stored one was written from numbers with more digits than cloud.json has.
+    Without cloud.md: the stored table was written from numbers with more digits than cloud.json has.
     """
     from .archive import tables as archive_tables
     from .cloud import first_poses, grid, object_scenes, points_report, speed, summary

@@ -10,7 +10,7 @@ from mocodec import formats
 
 
 def rounded(value: Any) -> Any:
-    """JSON content with floats rounded to six significant digits: further digits are noise of the measurement."""
+    """JSON content with floats rounded to six significant digits; more digits are measurement noise."""
     if isinstance(value, float):
         return float(f"{value:.6g}")
     if isinstance(value, dict):
@@ -24,5 +24,5 @@ def write_json(path: Path, content: Any, indent: int | None = 1) -> None:
 
 
 def read_json(path: Path) -> Any:
-    """The content of a file; None if there is no such file."""
+    """The content of a file; None without a file."""
     return json.loads(path.read_text()) if path.is_file() else None

@@ -1,12 +1,12 @@
 """The table of rotations in docs/tempo/results.md: `scripts/bench rotations`.
 
-    AMC and BVH recordings ──► tempo with rotations ──► joints, shell points, degrees, by kinematics of its own
-                           ──► tempo of positions alone, at the same mean error of joints
+    AMC and BVH recordings ──► tempo with rotations ──► joints, shell points, degrees, by independent kinematics
+                           ──► tempo with positions alone, at the same mean error of joints
     both ──► docs/results/tempo_rotations.json ──► docs/tempo/results.md
 
-Bytes are whole .mocz files with names, skeleton and joint limits; ratios are against float32 positions. All recordings
-are coded with the prior of the package, which has seen some of these people, also the positions alone.
-Nothing of the measurement is shared with the codec: rotations become matrices here, and positions follow from them.
+Bytes are whole .mocz files with names, skeleton and joint limits; ratios are against float32 positions. All codings use
+the prior of the package, whose training data contain some of these people. The measurement shares no code with the
+codec: it converts rotations to matrices and computes positions from them.
 """
 
 from __future__ import annotations
@@ -35,7 +35,7 @@ RESULTS = Path("docs/results/tempo_rotations.json")
 PAGE = Path("docs/tempo/results.md")
 BEGIN, END = "<!-- rotations -->", "<!-- end of rotations -->"
 EQUAL_MEANS = (0.001, 0.003)
-"""Mean errors of joints and shell points at which bytes are compared with positions alone, metres."""
+"""Mean errors of joints and shell points for the comparison with positions alone, metres."""
 MEANS, BOUNDS = (0.0009, 0.003), (0.001, 0.003, 0.0038, 0.01, 0.013)
 EXERCISE = ("cmu/asfamc/03/03_04.amc", "cmu/asfamc/01/01_06.amc", "cmu/asfamc/02/02_10.amc", "cmu/asfamc/49/49_20.amc")
 EXERCISE_FRAMES = 4500
@@ -46,7 +46,7 @@ SHELL_M = 0.03
 
 @dataclass(frozen=True)
 class Measurement:
-    """One recording at one target. Errors in metres and degrees, times in seconds of the processor."""
+    """One recording at one target. Errors in metres and degrees, processor times in seconds."""
 
     file: str
     kind: str
@@ -78,7 +78,7 @@ def matrices(q: Floats) -> Floats:
 
 
 def posed(motion: Motion) -> tuple[Floats, Floats]:
-    """Points (frames, joints, 4, 3): joints, as the motion has them, and shell points; world matrices."""
+    """Points (frames, joints, 4, 3): the motion's joints, and shell points; and world matrices."""
     assert motion.skeleton is not None
     assert motion.rotations is not None
     local = matrices(motion.rotations)
@@ -106,7 +106,7 @@ def measured(motion: Motion, decoded: Motion) -> dict[str, float]:
 
 
 def measurement(label: str, kind: str, motion: Motion, target: str, value: float, compare: bool) -> Measurement:
-    """Encode, decode and measure; compare: with positions alone at the same mean error of joints."""
+    """Encode, decode and measure. compare: also measure positions alone at the same mean error of joints."""
     codec = Tempo(**{target: value})  # pyright: ignore[reportArgumentType]
     start = time.process_time()
     blob = api.encode(motion, codec)
@@ -125,7 +125,7 @@ def measurement(label: str, kind: str, motion: Motion, target: str, value: float
 
 
 def cases(data: Path) -> Iterator[tuple[str, str, Callable[[], Motion], str, float, bool]]:
-    """Label, kind, motion, target, value, and whether to compare with positions alone."""
+    """Yields label, kind, motion, target, value, and whether to compare with positions alone."""
 
     def load(path: Path, frames: int | None = None) -> Callable[[], Motion]:
         return lambda: api.read(path, Motion)[slice(0, frames)]
@@ -146,7 +146,7 @@ def cases(data: Path) -> Iterator[tuple[str, str, Callable[[], Motion], str, flo
 
 
 def kinematics_ms() -> float:
-    """Forward kinematics of 5,000 frames of 31 joints, milliseconds, the best of five."""
+    """Milliseconds of forward kinematics for 5,000 frames of 31 joints; best of five runs."""
     motion = api.read(datasets.SHARED / EXERCISE[0], Motion)
     assert motion.skeleton is not None
     assert motion.rotations is not None
@@ -209,7 +209,7 @@ def tables(content: dict[str, Any]) -> str:
 
 
 def write_page(content: dict[str, Any]) -> None:
-    """Put the tables into the page."""
+    """Write the tables to the page."""
     before, rest = PAGE.read_text().split(BEGIN, 1)
     after = rest.split(END, 1)[1]
     PAGE.write_text(f"{before}{BEGIN}\n{tables(content)}\n{END}{after}")
@@ -218,7 +218,7 @@ def write_page(content: dict[str, Any]) -> None:
 @click.command("rotations")
 @click.option("--tables-only", is_flag=True, help="Draw the tables from the stored results.")
 def command(tables_only: bool) -> None:
-    """Rotations beside positions: bytes, errors and speed, from recordings in ../shared/data."""
+    """Measure rotations beside positions: bytes, errors and speed, on recordings in ../shared/data."""
     if tables_only:
         write_page(read_json(RESULTS))
         return

@@ -3,10 +3,9 @@
     recordings ──► tempo, with a prior trained without the person ──► bytes at mean errors and under hard maxima
                ──► SZ3 at the same errors, hou2014 at its own ──► docs/results/tempo.json ──► docs/tempo/results.md
 
-Bytes are whole .mocz files with names and skeleton; ratios are against float32 positions. A recording of one of the
-people in the prior's training data is coded with a prior trained without that person. The markers of subject 85 and the
-BVH files are coded with the prior of the package: subject 85 is not in its training data, and it does not know the
-points of these BVH files.
+Bytes are whole .mocz files with names and skeleton; ratios are against float32 positions. A recording of a person in
+the prior's training data uses a prior trained without that person. The markers of subject 85 and the BVH files use the
+prior of the package: its training data do not contain subject 85, and it does not have the points of these BVH files.
 """
 
 from __future__ import annotations
@@ -68,7 +67,7 @@ class Measurement:
 
 
 def kind_of(recording: datasets.Recording, motion: Motion) -> str:
-    """The row of the page that a recording belongs to."""
+    """The row of a recording on the page."""
     if recording.path is not None and recording.path.suffix.lower() == ".amc":
         if len(motion) >= LONG_FRAMES:
             return "joints, long"
@@ -96,7 +95,7 @@ def measurement(
 def of_recording(
     recording: datasets.Recording, prior: Path | None, with_hou: bool, known: Sequence[Measurement]
 ) -> list[Measurement]:
-    """All measurements of one recording; those of other codecs are taken from `known` if they are there."""
+    """All measurements of one recording; reuses those of other codecs in `known`."""
 
     def known_measurement(codec: str, target: str, wanted: float) -> list[Measurement]:
         return [f for f in known if (f.file, f.codec, f.target, f.target_m) == (label, codec, target, wanted)][:1]
@@ -138,7 +137,7 @@ def of_recording(
 
 
 def of_chunks(label: str, kind: str, motion: Motion) -> list[Measurement]:
-    """Payload bytes with shorter chunks and at low latency, under the default bound."""
+    """Payload bytes with shorter chunks and with low latency, under the default bound."""
     found = []
     for seconds in CHUNKS_S:
         encoded = Tempo(chunk_seconds=seconds).encode_chunks(motion)
@@ -161,8 +160,8 @@ def of_chunks(label: str, kind: str, motion: Motion) -> list[Measurement]:
 
 
 def speeds(motion: Motion, repeats: int = 5) -> dict[str, Any]:
-    """Frames encoded and decoded per second, and milliseconds to read 120 frames of an hour, with and without the
-    compiled module; processor time of one thread, which other load does not change."""
+    """Frames encoded and decoded per second, and milliseconds for reading 120 frames of an hour, with and without the
+    compiled module: processor time of one thread, which other load does not change."""
     motion = replace(motion[:5000], extras={}, rotations=None)
     rows: list[dict[str, Any]] = []
     targets = [("mean_error", e) for e in MEANS] + [("max_error", e) for e in SPEED_BOUNDS]
@@ -197,7 +196,7 @@ SPEED_BOUNDS = (0.001, 0.003, 0.005, 0.01)
 
 
 def fastest_s(run: Callable[[], Any], repeats: int) -> float:
-    """Processor time of the fastest of some runs, after one run to warm up."""
+    """Processor time of the fastest of some runs, after a warm-up run."""
     run()
     times = []
     for _ in range(repeats):
@@ -208,7 +207,7 @@ def fastest_s(run: Callable[[], Any], repeats: int) -> float:
 
 
 def speed_table(speed: dict[str, Any]) -> list[str]:
-    """A row per target, a column with and without the compiled module."""
+    """A row for each target; columns with and without the compiled module."""
     ways = list(dict.fromkeys(r["way"] for r in speed["rows"]))
     rows = []
     for target, wanted in dict.fromkeys((r["target"], r["target_m"]) for r in speed["rows"]):
@@ -309,7 +308,7 @@ def markdown(measurements: Sequence[Measurement], speed: dict[str, Any], machine
 def parts_markdown(measurements: Sequence[dict[str, Any]]) -> str:
     """Change of the ratio without each part, from the results of `tempo_parts`.
 
-    A part that not all recordings can be coded without is compared on those that can be.
+    If some recordings cannot be coded without a part, the comparison uses the others.
     """
     targets = [("mean_error", 0.001), ("mean_error", 0.003), ("mean_error", 0.01), ("max_error", 0.003)]
     files = list(dict.fromkeys(f["file"] for f in measurements))
@@ -330,7 +329,7 @@ def parts_markdown(measurements: Sequence[dict[str, Any]]) -> str:
 
 
 def write_page(text: str, mark: str = "results", page: Path = PAGE) -> None:
-    """Replace the text between two marks of the page."""
+    """Replace the text between two marks on the page."""
     before, start, rest = page.read_text().partition(f"<!-- {mark} -->\n")
     end = f"<!-- end of {mark} -->"
     page.write_text(f"{before}{start}{text}\n{end}{rest.partition(end)[2]}")
@@ -378,7 +377,7 @@ Task = tuple[datasets.Recording, Path | None, bool, Sequence[Measurement]]
 
 
 def recording_tasks(data: Path, priors: Path, quick: bool, known: Sequence[Measurement]) -> list[Task]:
-    """The recordings to measure, each with the folder of its priors, which are trained if they are not there."""
+    """The recordings to measure, each with the folder of its priors; trains missing priors."""
     recordings = datasets.recordings(data)
     every = max(1, len(recordings) // HOU_FILES)
     tasks: list[Task] = []
@@ -391,7 +390,7 @@ def recording_tasks(data: Path, priors: Path, quick: bool, known: Sequence[Measu
 
 
 def long_recording(data: Path) -> datasets.Recording:
-    """The recording on which speed is measured."""
+    """The recording for the measurement of speed."""
     return next(r for r in datasets.recordings(data) if r.label.endswith("03_04.amc"))
 
 

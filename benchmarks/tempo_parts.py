@@ -2,8 +2,8 @@
 
     a few recordings ──► tempo, whole and without one part at a time ──► docs/results/tempo_parts.json
 
-`scripts/bench tempo --tables` writes the table from it. The priors have not seen the person; they are not trained again
-for the missing part. Most parts are taken out by settings of `Tempo`; those without a setting are replaced (`patch`).
+`scripts/bench tempo --tables` writes the table from it. The priors' training data do not contain the person; they are
+not trained again for the missing part. Settings of `Tempo` remove most parts; `patch` replaces the others.
 """
 
 from __future__ import annotations
@@ -43,7 +43,7 @@ TARGETS: tuple[dict[str, float], ...] = (
     {"max_error": 0.003},
 )
 CHUNKS, WHOLE, REPEATED = "the chunks", "all of it", "all of it, each frame repeated once"
-"""What a part is compared with: tempo's own chunks, with the fallback, and the same on motion with repeated frames."""
+"""References of the comparison: tempo's chunks, with the fallback, and with the fallback on repeated frames."""
 
 Encode = Callable[[Motion, dict[str, Any]], int]
 """Payload bytes of a motion at a target. Raises CannotEncode."""
@@ -51,7 +51,7 @@ Encode = Callable[[Motion, dict[str, Any]], int]
 
 @dataclass(frozen=True)
 class Part:
-    """encode: with or without the part. against: the name of the row that has it. changes: patches of modules."""
+    """encode: with or without the part; against: name of the row with the part; changes: patches of modules."""
 
     encode: Encode
     against: str
@@ -59,27 +59,27 @@ class Part:
 
 
 def chunks(motion: Motion, target: dict[str, Any]) -> int:
-    """Every model, no fallback, no repeats."""
+    """Bytes with all models, without fallback and deduplication."""
     return Tempo(**target).encode_chunks(motion).payload_bytes
 
 
 def whole(motion: Motion, target: dict[str, Any]) -> int:
-    """As users get it."""
+    """Bytes with default settings."""
     return Tempo(**target).encode(motion).payload_bytes
 
 
 def repeated(motion: Motion, target: dict[str, Any]) -> int:
-    """Each frame repeated once."""
+    """Bytes with each frame repeated once."""
     return whole(hold_samples(motion, 2), target)
 
 
 def without_repeats(motion: Motion, target: dict[str, Any]) -> int:
-    """Each frame repeated once, and all frames coded."""
+    """Bytes with each frame repeated once, without deduplication."""
     return Tempo(**target).encode_without_repeats(hold_samples(motion, 2)).payload_bytes
 
 
 def smallest_of(*models: str) -> Encode:
-    """The smallest of some models."""
+    """An encoder that keeps the smallest result of some models."""
 
     def encode(motion: Motion, target: dict[str, Any]) -> int:
         sizes = []
@@ -128,7 +128,7 @@ PARTS: dict[str, Part] = {
 
 @contextmanager
 def replaced(changes: Sequence[Any]) -> Iterator[None]:
-    """Within these patches, encoder and decoder run in NumPy: compiled kernels cannot be patched."""
+    """A context with patches, in which encoder and decoder run in NumPy: patches do not reach compiled kernels."""
     if not changes:
         yield
         return
@@ -142,7 +142,7 @@ def replaced(changes: Sequence[Any]) -> Iterator[None]:
 
 
 def _clear_caches() -> None:
-    """Forget what was computed with other parts."""
+    """Clear caches of values computed with other parts."""
     for cached in (
         contexts.groups, contexts.lookup, plan.plan, quantise._prediction, quantise.prices, header._read_model,
     ):  # fmt: skip

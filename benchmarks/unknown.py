@@ -1,11 +1,11 @@
-"""Points that tempo's prior does not know, above all in short clips: `scripts/bench unknown`.
+"""Points outside tempo's prior, mostly in short clips: `scripts/bench unknown`.
 
-    recordings as they are: marker sets, other skeletons ──────────┐
-    joints of people ─► markers on their bones, held samples, gaps, ├─► tempo and SZ3 at equal errors ─► docs/tempo
-                        other names, rates and proportions ─────────┘
+    original recordings: marker sets, other skeletons ─────────────────┐
+    joints of people ─► markers on their bones, repeated samples, gaps, ├─► tempo and SZ3 at equal errors ─► docs/tempo
+                        other names, rates and proportions ─────────────┘
 
-Cases made from the joints of one of the prior's people are coded with a prior trained without that person. Noise and
-offsets come from fixed seeds.
+Cases from joints of a person in the prior's training data use a prior trained without that person. Noise and offsets
+have fixed seeds.
 """
 
 from __future__ import annotations
@@ -33,7 +33,7 @@ RESULTS = Path("docs/results/tempo_unknown.json")
 
 @dataclass(frozen=True)
 class Case:
-    """A row of the table: its label, how to make the motion, and the person that the prior must not know."""
+    """A row of the table: its label, a function that makes the motion, and the person to leave out of the prior."""
 
     label: str
     make: Callable[[Path], Motion]
@@ -41,7 +41,7 @@ class Case:
 
 
 def amc(trial: str, start_s: float = 0.0, seconds: float = 10.0) -> Callable[[Path], Motion]:
-    """Some seconds of a trial, joints with rotations."""
+    """A function that reads some seconds of a trial: joints with rotations."""
 
     def make(data: Path) -> Motion:
         motion = formats.read(data / "cmu" / "asfamc" / trial.split("_")[0] / f"{trial}.amc")
@@ -53,7 +53,7 @@ def amc(trial: str, start_s: float = 0.0, seconds: float = 10.0) -> Callable[[Pa
 
 
 def recorded(path: str, start_s: float = 0.0, seconds: float = 10.0) -> Callable[[Path], Motion]:
-    """Some seconds of a recording, unchanged."""
+    """A function that reads some seconds of a recording, unchanged."""
 
     def make(data: Path) -> Motion:
         motion = formats.read(data / path)
@@ -99,12 +99,12 @@ def _direction(random: np.random.Generator) -> Floats:
 
 
 def bare(motion: Motion, names: Sequence[str] = ()) -> Motion:
-    """Positions only, with these names or none."""
+    """Only the positions, with these names or without names."""
     return Motion(motion.positions, motion.rate, tuple(names), motion.up)
 
 
 def hold_samples(motion: Motion, frames: int) -> Motion:
-    """Each sample repeated for `frames` frames, as when a slower camera fills a faster file."""
+    """Each sample repeated for `frames` frames, like a slow camera in a fast file."""
     return replace(motion, positions=motion.positions[np.arange(len(motion)) // frames * frames])
 
 
@@ -115,7 +115,7 @@ def slower(motion: Motion, rate: float) -> Motion:
 
 
 def with_gaps(motion: Motion, share: float, seed: int) -> Motion:
-    """About this share of the samples removed, in runs of 0.05 to 1.5 seconds."""
+    """Removes about this share of the samples, in runs of 0.05 to 1.5 seconds."""
     random = np.random.default_rng(seed)
     positions = motion.positions.copy()
     while np.isnan(positions[..., 0]).mean() < share:
@@ -136,7 +136,7 @@ SMPL = {
 
 
 def smpl(joints: Motion, named: bool, seed: int) -> Motion:
-    """22 joints at 30 Hz, of other proportions than the recording's."""
+    """22 joints at 30 Hz, with other proportions than the recording."""
     other = with_other_proportions(joints, seed)
     columns = [joints.names.index(j) for j in SMPL.values()]
     positions = other.positions[:, columns].copy()
@@ -145,7 +145,7 @@ def smpl(joints: Motion, named: bool, seed: int) -> Motion:
 
 
 def with_other_proportions(joints: Motion, seed: int) -> Motion:
-    """The same rotations on bones that are up to a fifth longer or shorter, left and right alike."""
+    """The motion's rotations on bones up to a fifth longer or shorter, left and right equal."""
     random = np.random.default_rng(seed)
     assert joints.skeleton is not None
     assert joints.rotations is not None
@@ -158,7 +158,7 @@ def with_other_proportions(joints: Motion, seed: int) -> Motion:
 
 
 def without_names(joints: Motion) -> Motion:
-    """Joints without names, of other proportions."""
+    """Joints without names and with other proportions."""
     return bare(with_other_proportions(joints, 3))
 
 
@@ -208,7 +208,7 @@ def cases() -> list[Case]:
 
 
 def of_case(case: Case, data: Path, priors: Path, known: Sequence[Measurement] = ()) -> Iterator[Measurement]:
-    """Measurements of tempo and SZ3 at each error; those of SZ3 are taken from `known` if they are there."""
+    """Measurements of tempo and SZ3 at each error; reuses those of SZ3 in `known`."""
     motion = replace(case.make(data), extras={}, rotations=None, skeleton=None, source={})
     prior = None if case.person is None else folds.trained(priors, (case.person,))
     sz3 = rivals.Sz3()
@@ -233,7 +233,7 @@ def of_case(case: Case, data: Path, priors: Path, known: Sequence[Measurement] =
 
 
 def markdown(measurements: Sequence[Measurement]) -> str:
-    """Ratios, and ratios over those of SZ3, by case; geometric mean and worst."""
+    """Table: ratios, and ratios over SZ3's, by case; geometric mean and worst."""
     head = ["points", *(f"mean {100 * e:g} cm" for e in MEANS), *(f"maximum {100 * e:g} cm" for e in BOUNDS)]
     columns = [("mean_error", e) for e in MEANS] + [("max_error", e) for e in BOUNDS]
     cells = [(pick(measurements, "tempo", *c), pick(measurements, "sz3", *c)) for c in columns]
@@ -258,7 +258,7 @@ def markdown(measurements: Sequence[Measurement]) -> str:
 @click.option("--only", default="", help="Only rows whose label contains this; print the table instead of storing it.")
 @click.option("--tables", is_flag=True, help="Only draw the table again.")
 def command(data: Path, priors: Path, only: str, tables: bool) -> None:
-    """Measure tempo and SZ3 on points that the prior does not know.
+    """Measure tempo and SZ3 on points outside the prior.
 
     Writes docs/results/tempo_unknown.json and the table of docs/tempo/results.md.
     """

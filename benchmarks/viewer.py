@@ -1,9 +1,8 @@
-"""The page of `mocodec view` in Chromium: seeking in an hour over HTTP, playing, and its size.
+"""Measures the page of `mocodec view` in Chromium: seeking in an hour over HTTP, playing, and its size.
 
     one hour of 31 joints ─tempo─► .mocz ─nginx─► page ─► seconds from click to picture, requests, bytes; frames drawn
 
-Needs Node.js, Chromium, nginx and `npm ci` in web/viewer. Chromium renders in software here, as on a machine without a
-graphics card.
+Needs Node.js, Chromium, nginx and `npm ci` in web/viewer. Chromium renders in software, as without a graphics card.
 """
 
 from __future__ import annotations
@@ -54,7 +53,7 @@ SEEK = """(async () => {
 
 
 HIDE = "document.getElementById('picture').style.display = 'none'"
-"""The page draws as before, and the browser does not show it."""
+"""The page still draws, but the browser does not show the picture."""
 
 DECODE = """(async () => {
   let first = 0;
@@ -71,9 +70,9 @@ DECODE = """(async () => {
     if (shownFrame === %d) return [now - first, worst, block];
   }
 })()"""
-"""Milliseconds from showing the first frame to showing one of the second block, longest pause, frames of a block.
+"""Milliseconds from showing the first frame to showing a frame of the second block; longest pause; frames of a block.
 
-A block is decoded before one of its frames is shown, so only those of the second are decoded in between."""
+A block is decoded before its first frame is shown, so the page decodes only the second block in between."""
 
 
 @click.command("viewer")
@@ -91,7 +90,7 @@ def command(output: Path) -> None:
 
 
 def an_hour() -> Motion:
-    """The recording in the package, to and fro, until an hour is full; 31 of its joints."""
+    """31 joints of the recording in the package, alternately forwards and backwards for an hour."""
     once = packaged()[:, packaged().names[:31]]
     both = np.concatenate([once.positions, once.positions[::-1]])
     times = -(-RATE * HOUR // len(both))
@@ -99,7 +98,7 @@ def an_hour() -> Motion:
 
 
 def measure(folder: Path) -> dict[str, Any]:
-    """All figures."""
+    """Measures everything."""
     site, logs = folder / "site", folder / "nginx"
     (site / "priors").mkdir(parents=True)
     logs.mkdir()
@@ -138,20 +137,20 @@ def measure(folder: Path) -> dict[str, Any]:
 
 
 def seeking(url: str, folder: Path) -> list[float]:
-    """Milliseconds from asking for a frame to drawing it."""
+    """Milliseconds from the request of a frame to its drawing, for each of FRAMES."""
     jumps = [{"do": "eval", "code": SEEK % (frame, frame)} for frame in FRAMES]
     return [round(ms, 1) for ms in drive([{"do": "open", "url": url}, LOADED, *jumps], folder)[2:]]
 
 
 def crowd(once: Motion) -> Motion:
-    """The joints of a motion beside each other until there are CROWD."""
+    """Copies of a motion side by side, CROWD points in all."""
     copies = [once.positions + np.array([0.8 * i, 0, 0]) for i in range(-(-CROWD // once.points))]
     positions = np.concatenate(copies, axis=1)[:, :CROWD]
     return Motion(positions, once.rate, tuple(f"point {p}" for p in range(CROWD)), once.up)
 
 
 def cloud() -> PointClouds:
-    """Two seconds of a cloud of CLOUD points of any colour that moves on."""
+    """Two seconds of a moving cloud of CLOUD points with random colours."""
     random = np.random.default_rng(1)
     at = random.normal(size=(CLOUD, 3)) * [0.2, 0.4, 0.2] + [0, 1, 0]
     colours = random.integers(0, 256, (CLOUD, 3)).astype(np.uint8)
@@ -159,14 +158,14 @@ def cloud() -> PointClouds:
 
 
 def dense() -> bytes:
-    """A person of DENSE points a frame, within a bound."""
+    """A file of a person with DENSE points a frame, within a bound."""
     performance = sequences.jumping_jacks(actors.capsules(), DENSE_FRAMES)
     clouds = sequences.record(performance, DENSE, seed=5)
     return mocodec.encode(clouds, Bodycast(skeleton=performance.skeleton(), max_error=0.004, psnr=28))
 
 
 def decoding(url: str, folder: Path) -> dict[str, float]:
-    """Milliseconds that the page decodes for a frame of a dense cloud, and for which it did not answer meanwhile."""
+    """Milliseconds of decoding a frame of a dense cloud, and the longest time in which the page does not respond."""
     last = DENSE_FRAMES - 1
     _, (whole, blocked, block) = drive(
         [{"do": "open", "url": url}, {"do": "eval", "code": DECODE % (last, last)}], folder
@@ -181,8 +180,8 @@ def decoding(url: str, folder: Path) -> dict[str, float]:
 
 
 def playing(url: str, folder: Path) -> dict[str, float]:
-    """Pictures drawn and dropped while playing, of 60 a second, and milliseconds of processor time of one: as shown,
-    and as drawn without the browser showing it.
+    """Pictures drawn and dropped while playing, of 60 a second, and milliseconds of processor time of one: shown, and
+    drawn without being shown.
     """
     (drawn, dropped, spent), (_, hidden_dropped, own) = (played(url, before, folder) for before in ("0", HIDE))
     shown = {"seconds": PLAYED_S, "drawn": drawn, "dropped": dropped, "processor_ms": spent}
@@ -203,7 +202,7 @@ def played(url: str, before: str, folder: Path) -> tuple[int, int, float]:
 
 
 def drive(commands: list[dict[str, Any]], folder: Path) -> list[Any]:
-    """Answers of the page to commands (web/viewer/test/browser.mjs). Raises BadInput where the browser fails."""
+    """Answers of the page to commands (web/viewer/test/browser.mjs). Raises BadInput if the browser fails."""
     script = folder / "commands.json"
     script.write_text(json.dumps(commands))
     made = subprocess.run(
@@ -224,7 +223,7 @@ def drive(commands: list[dict[str, Any]], folder: Path) -> list[Any]:
 
 
 def report(results: dict[str, Any]) -> str:
-    """The figures as a table."""
+    """A table of the results."""
     played, seeks = results["played"], results["seek_ms"]
     rows = [
         ["page, compressed", f"{results['page_gzip_bytes']:,} bytes"],

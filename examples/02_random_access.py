@@ -19,6 +19,6 @@ with mc.open("jumps.mocz") as f:
     turn = f.at(seconds=slice(12.5, 14.0))
     print("from 12.5 s to 14 s:", len(turn), "frames")
 
-    # Chunk after chunk: a long recording never has to fit into memory.
+    # Chunk by chunk: a long recording need not fit into memory.
     for number, chunk in enumerate(f):
         print(f"chunk {number}: {len(chunk)} frames")

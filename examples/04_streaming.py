@@ -1,6 +1,6 @@
-"""Send motion while it is being recorded.
+"""Send motion during the recording.
 
-Frames go in as they come; a chunk comes out every quarter of a second.
+The encoder takes frames as they arrive and returns a chunk every quarter of a second.
 """
 
 import numpy as np
@@ -12,7 +12,7 @@ from mocodec.testing import synthetic
 # Stands for a motion capture system: three seconds of 41 markers.
 camera = synthetic.markers(frames=360, seed=1)
 
-# Names, rate and vertical axis, without frames; sender and receiver both have it.
+# Names, rate and vertical axis without frames, known to sender and receiver.
 about = camera[:0]
 
 encoder = tempo.Encoder(about, max_error=0.005, latency_seconds=0.25)

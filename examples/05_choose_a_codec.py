@@ -7,7 +7,7 @@ with mc.open(data.RECORDING) as f:
     motion = f.at(seconds=slice(0, 10))
 
 RUNS = [
-    ("tempo", {"max_error": 0.005}),  # no point of any frame farther off than 5 mm
+    ("tempo", {"max_error": 0.005}),  # no point of any frame is off by more than 5 mm
     ("tempo", {"ratio": 100}),  # a hundredth of the size as float32
     ("hou2014", {"max_error": 0.005}),
     ("hou2014", {"mean_error": 0.001}),  # 1 mm on average

@@ -1,7 +1,7 @@
 """Send point clouds of a person frame by frame over UDP, through a network that loses packets.
 
-A frame becomes one packet of a few dozen bytes at once. The receiver shows every frame: where a packet is lost, it
-continues the motion of the frames before. Needs `mocodec[cloud]`.
+Each frame becomes one packet of a few dozen bytes, without delay. The receiver shows every frame: after a lost packet,
+it continues the earlier motion. Needs `mocodec[cloud]`.
 """
 
 import socket
@@ -15,7 +15,7 @@ from mocodec.testing import actors, sequences
 
 LOST_SHARE = 0.1
 
-# Stands for a rig of cameras: two seconds of 2,000 coloured points of a person.
+# Replaces a camera rig: two seconds of 2,000 coloured points of a person.
 performance = sequences.jumping_jacks(actors.capsules(), 30)
 camera = sequences.record(performance, 2000, seed=1)
 assert camera.colours is not None

@@ -1,9 +1,9 @@
-"""What mkdocs does to pages of docs/ before it renders them.
+"""Hooks of mkdocs, which change pages of docs/ before rendering.
 
     <!-- include FILE -->      becomes FILE (a path from the repository root); a .py file becomes a code block
     <!-- help COMMAND -->      becomes the output of `mocodec COMMAND --help`; no COMMAND is mocodec itself
 
-Links out of docs/, which lead somewhere in a checkout but not on the site, become their text.
+Links out of docs/ work in a checkout but not on the site, so they become plain text.
 """
 
 from __future__ import annotations
@@ -16,10 +16,10 @@ from typing import Any
 ROOT = Path(__file__).resolve().parent.parent
 DOCS = ROOT / "docs"
 PAGES_OF_ROOT = {"CONTRIBUTING.md": "contributing.md", "CHANGELOG.md": "changelog.md", "README.md": "index.md"}
-"""Files of the repository root that have a page of their own."""
+"""Files of the repository root with their own pages."""
 
 WIDTH = 80
-"""Columns of a help text: what a page shows without scrolling."""
+"""Columns of a help text that a page shows without scrolling."""
 
 INCLUDE = re.compile(r"<!-- include (\S+) -->")
 HELP = re.compile(r"<!-- help ?(\S*) -->")
@@ -27,7 +27,7 @@ LINK = re.compile(r"(?<!!)\[([^\]]+)\]\((?!https?://|#)([^)#\s]+)(#[^)]*)?\)")
 
 
 def on_page_markdown(markdown: str, *, page: Any, **_: Any) -> str:
-    """The Markdown of a page with inclusions, help texts and links resolved."""
+    """The Markdown of a page, with inclusions, help texts and links resolved."""
     folder = (DOCS / page.file.src_uri).parent
     markdown = INCLUDE.sub(lambda match: included(ROOT / match[1], folder), markdown)
     markdown = HELP.sub(lambda match: help_text(match[1]), markdown)
@@ -62,7 +62,7 @@ def help_text(command: str) -> str:
 
 
 def link(match: re.Match[str], folder: Path) -> str:
-    """A link of a page in `folder`: unchanged within docs/, to the page of a file of the root, or its text alone."""
+    """Resolves a link of a page in `folder`: unchanged within docs/; to the page of a root file; else only its text."""
     target = (folder / match[2]).resolve()
     if target.is_relative_to(DOCS):
         return match[0]

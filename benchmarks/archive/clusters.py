@@ -1,7 +1,7 @@
-"""An inverted index, simulated: vectors in clusters, and a search that looks only at the clusters nearest to the query.
+"""Simulation of an inverted index: vectors in clusters; a search compares only the clusters nearest to the query.
 
 vectors ─k-means─► clusters, each with the list of its vectors
-query of n windows ─each: nearest clusters─► vectors ─less the place in the query─► candidates ─► exact distances
+query of n windows ─each: nearest clusters─► vectors ─minus the place in the query─► candidates ─► exact distances
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ NOISE_M = 0.03
 
 
 def measure(vault: Path) -> dict[str, Any]:
-    """Share of vectors compared, time, and how often the result is that of the search of all, by clusters looked at.
+    """Share of vectors compared, time, and share of results equal to the full search, by number of searched clusters.
 
     A query is 4 s of the index with noise of 3 cm on each component.
     """
@@ -76,7 +76,7 @@ def measure(vault: Path) -> dict[str, Any]:
 
 
 def per_query(begun: float) -> float:
-    """Milliseconds of processor time since then, for each query."""
+    """Milliseconds of processor time since `begun`, for each query."""
     return 1e3 * (time.process_time() - begun) / QUERIES
 
 
@@ -103,8 +103,8 @@ def nearest(vectors: Vectors, centres: Vectors, count: int) -> Integers:
 
 
 def candidates(query: Vectors, centres: Vectors, order: Integers, first: Integers, probed: int) -> Integers:
-    """Where a run like the query may begin: vectors of the clusters near a window, less the place of the window. Three
-    windows of the query are looked up: its ends and its middle."""
+    """Possible starts of a run like the query: vectors of the clusters near a window, minus the place of the window.
+    Three windows of the query are looked up: its ends and its middle."""
     found: list[Integers] = []
     for place in (0, len(query) // 2, len(query) - 1):
         for c in nearest(query[place : place + 1], centres, probed)[0]:

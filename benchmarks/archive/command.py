@@ -5,12 +5,12 @@
                                         ├─ training from the archive and from the originals
                                         ├─ catalogue and index of a million frames: opening, queries
                                         ├─ retrieval of labelled clips
-                                        ├─ an inverted index, simulated
-                                        ├─ priors of one's own people
+                                        ├─ simulation of an inverted index
+                                        ├─ priors of a studio's own people
                                         └─ two workers against one
 
-Times are those of the processor, in one process, so that other work on the machine changes them little; those of the
-part `parallel` are of the clock, and need an idle machine.
+Times are processor times of one process, so that other work on the machine changes them little. The part `parallel`
+measures wall-clock time and needs an idle machine.
 """
 
 from __future__ import annotations
@@ -37,7 +37,7 @@ PARTS = ("sizes", "windows", "training", "large", "retrieval", "clusters", "prio
 
 @click.command("archive")
 @click.option("--part", "parts", multiple=True, type=click.Choice(PARTS), help="Only this part; can be repeated.")
-@click.option("--work", type=click.Path(path_type=Path), help="Keep the archives in this folder, and use those in it.")
+@click.option("--work", type=click.Path(path_type=Path), help="Keep the archives in this folder, and reuse them.")
 @click.option("--tables-only", is_flag=True, help="Write the tables again from the stored results.")
 def command(parts: tuple[str, ...], work: Path | None, tables_only: bool) -> None:
     """Archives of the CMU recordings: sizes, windows for learning, queries, retrieval."""
@@ -77,18 +77,18 @@ def measured(part: str, folder: Path) -> Any:
 
 
 def options(kind: str) -> archive.Options:
-    """A mean error of 3 mm, with or without the rotations of joints."""
+    """Options: a mean error of 3 mm, with or without the rotations of joints."""
     return archive.Options(targets={"mean_error": MEAN_ERROR_M}, rotations=kind == "rotations")
 
 
 def built(folder: Path, kind: str) -> Path:
-    """The archive of positions, or with rotations."""
+    """Builds the archive of positions, or with rotations; returns its folder."""
     archive.build(PEOPLE, folder / kind, options(kind))
     return folder / kind
 
 
 def sizes(folder: Path, kind: str) -> dict[str, Any]:
-    """Bytes and errors of an archive, and how fast it was built if it was built now."""
+    """Bytes and errors of an archive, and its build speed if it was built now."""
     begun = time.process_time()
     report = archive.build(PEOPLE, folder / kind, options(kind))
     seconds = time.process_time() - begun

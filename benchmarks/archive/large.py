@@ -1,7 +1,7 @@
 """Archives of a million and ten million frames: opening, queries, similarity; SQLite against Parquet.
 
-Rows are those of the CMU archive under other names, subjects and lengths. The index has vectors of real clips that are
-played faster or slower, scaled and mirrored, up to a million frames; ten million are these again with noise.
+Rows are those of the CMU archive with other names, subjects and lengths. The index has vectors of real clips, played
+faster or slower, scaled and mirrored, up to a million frames; ten million repeat these with noise.
 """
 
 from __future__ import annotations
@@ -45,7 +45,7 @@ def milliseconds(work: Callable[[], Any]) -> float:
 
 
 def varied_rows(vault: Path, count: int | None = None, frames: int | None = None) -> Iterator[Row]:
-    """Rows like those of an archive, `count` of them or until their frames are `frames` in all."""
+    """Rows like those of an archive: `count` rows, or until they have `frames` frames together."""
     random = np.random.default_rng(0)
     with archive.open_archive(vault) as db:
         rows = list(db.rows())
@@ -86,7 +86,7 @@ def filled(folder: Path, rows: Iterator[Row]) -> int:
 
 
 def steps(vault: Path, folder: Path, frames: int) -> dict[str, Any]:
-    """Opening, a query of the catalogue, a search for a clip."""
+    """Times of opening, of a query of the catalogue, and of a search for a clip."""
     where = folder / f"frames_{frames}"
     count = filled(where, varied_rows(vault, frames=frames))
 
@@ -146,7 +146,7 @@ def similar(vault: Path, frames: int, names: list[str]) -> tuple[Motion, similar
 
 
 def catalogues(vault: Path, folder: Path, count: int) -> dict[str, Any]:
-    """SQLite and Parquet with the same rows: bytes, opening and a query, adding one row."""
+    """SQLite and Parquet with the same rows: bytes, and times of opening with a query and of adding one row."""
     import pyarrow  # pyright: ignore[reportMissingImports]
     import pyarrow.compute as compute  # pyright: ignore[reportMissingImports]
     import pyarrow.parquet as parquet  # pyright: ignore[reportMissingImports]

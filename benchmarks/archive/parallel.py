@@ -1,6 +1,6 @@
-"""Two workers against one: building in processes and on a Dask cluster, learning a prior, windows in a loader.
+"""Speed-up of two workers: builds in processes and on a Dask cluster, learning a prior, windows in a loader.
 
-efficiency   time of one worker / (2 · time of two); 1 is ideal. Times are of the clock: measure on an idle machine
+efficiency   time of one worker / (2 · time of two); 1 is ideal. Wall-clock times: measure on an idle machine
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ WORKERS = (1, 2)
 
 
 def measure(people: Path, vault: Path, folder: Path, options: archive.Options) -> list[dict[str, Any]]:
-    """Seconds with one and with two workers, of each kind of work. vault: with rotations."""
+    """Seconds of each kind of work with one and with two workers. vault: an archive with rotations."""
     work: dict[str, Callable[[int], float]] = {
         "build, processes": lambda n: built(people, folder / f"processes_{n}", options, n, None),
         "build, Dask cluster": lambda n: on_cluster(people, folder / f"dask_{n}", options, n),
@@ -33,7 +33,7 @@ def measure(people: Path, vault: Path, folder: Path, options: archive.Options) -
 
 
 def built(people: Path, where: Path, options: archive.Options, workers: int, executor: Executor | None) -> float:
-    """Seconds of a build, with the start of processes; the workers of a cluster run already."""
+    """Seconds of a build, including the start of processes; the workers of a cluster run already."""
     begun = time.perf_counter()
     archive.build(people, where, options, workers=workers, executor=executor)
     return time.perf_counter() - begun
@@ -51,7 +51,7 @@ def on_cluster(people: Path, where: Path, options: archive.Options, workers: int
 
 
 def learned(vault: Path, workers: int) -> float:
-    """Seconds of learning a prior, with the start of the processes."""
+    """Seconds of learning a prior, including the start of the processes."""
     with archive.open_archive(vault) as db:
         begun = time.perf_counter()
         archive.train_prior(db, workers=workers)
@@ -59,7 +59,7 @@ def learned(vault: Path, workers: int) -> float:
 
 
 def loaded(vault: Path, workers: int) -> float:
-    """Seconds of all epochs but the first, in which the workers start and fill their caches."""
+    """Seconds of all epochs without the first, in which the workers start and fill their caches."""
     from torch.utils.data import DataLoader  # pyright: ignore[reportMissingImports]
 
     from mocodec.torch import Windows

@@ -1,7 +1,7 @@
-"""A studio's own prior: its people's recordings with the general prior, with one of its own, and with one of both.
+"""A studio's own prior: bytes of its people's recordings with the general prior, with its own, and with one of both.
 
-people of the studio: every second recording is known, the others are encoded
-general    learned from all other people          own    from the known recordings      both    from all of these
+people of the studio: every second recording trains, the others are encoded
+general    learned from all other people     own    from the training recordings     both    from all of these
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ MEAN_ERRORS_M = (0.003,)
 
 
 def measure(vault: Path) -> list[dict[str, Any]]:
-    """Bytes of the recordings of each studio that no prior knows. vault: with rotations."""
+    """Bytes of each studio's recordings outside all priors. vault: an archive with rotations."""
     with archive.open_archive(vault) as db:
         recordings = {entry.row.name: api.decode(entry.place, Motion) for entry in db}
     rows: list[dict[str, Any]] = []
@@ -49,7 +49,7 @@ def measure(vault: Path) -> list[dict[str, Any]]:
 
 
 def encoded_bytes(motions: Sequence[Motion], mean_error: float) -> int:
-    """Payloads of motions without rotations, and what their chunks share."""
+    """Bytes of the payloads of motions without rotations, with their shared blobs."""
     total = 0
     for motion in motions:
         encoded = Tempo(mean_error=mean_error).encode(replace(motion, rotations=None))

@@ -1,8 +1,8 @@
 """Retrieval of labelled CMU clips: is the nearest part of other recordings of the same kind of movement?
 
 The query is the middle 2.4 s of each trial. Labels are those of mocap.cs.cmu.edu for these subjects and trials; trials
-of one kind only (dance, run) are searched in but not searched for. The reference is the nearest neighbour on raw
-joints: the same poses, less their place only.
+of one kind only (dance, run) can be found but are no queries. The reference is the nearest neighbour on raw joints:
+the same poses, minus their place only.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ WITH_OTHER_SUBJECTS = ("jump", "walk")
 
 
 def label(stem: str, subject: int | None) -> str:
-    """The kind of movement, "" where no other trial has it."""
+    """The kind of movement; "" if no other trial has it."""
     return BY_TRIAL.get(stem) or BY_SUBJECT.get(subject or 0, "")
 
 
@@ -76,7 +76,7 @@ def middle(motion: Motion) -> Motion:
 
 
 def raw_windows(motion: Motion) -> Floats:
-    """(windows, values): eight poses of 1.6 s, less the place of the first."""
+    """Windows (windows, values): eight poses of 1.6 s, minus the place of the first."""
     rate = motion.rate
     count = max(0, int((motion.seconds - similarity.WINDOW_S) / similarity.HOP_S) + 1)
     at = np.arange(count)[:, None] * similarity.HOP_S + np.arange(similarity.POSES) * 0.2 + 0.1
@@ -86,7 +86,7 @@ def raw_windows(motion: Motion) -> Floats:
 
 
 def nearest(query: Floats, windows: Floats) -> float:
-    """The smallest mean distance of the query's windows to as many after one another."""
+    """The least mean distance of the query's windows from consecutive windows."""
     usable = len(windows) - len(query) + 1
     if usable < 1 or not len(query):
         return np.inf

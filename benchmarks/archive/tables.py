@@ -14,7 +14,7 @@ FOLDER = Path("docs/results")
 
 
 def write(found: dict[str, Any], folder: Path = FOLDER) -> list[Path]:
-    """Write every table whose part was measured; returns their paths."""
+    """Write the tables of all measured parts; returns their paths."""
     paths: list[Path] = []
     for part, name, make in (
         ("sizes", "archive_sizes.md", sizes),
@@ -215,7 +215,7 @@ BILLION = 1_000_000_000
 
 
 def scale(found: dict[str, Any]) -> str:
-    """What grows with the frames, and what does not: measured, and 100 times as many frames."""
+    """Sizes and times at the measured number of frames, and scaled in proportion to a billion frames."""
     steps, rows = found["large"]["steps"][-1], found["large"]["catalogues"][-1]
     times = BILLION / steps["frames"]
     sizes_ = found["sizes"][0]

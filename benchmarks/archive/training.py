@@ -1,6 +1,6 @@
-"""A small autoencoder trained from the archive and from the original positions in memory-mapped .npy: loss and time.
+"""Trains a small autoencoder from the archive and from the original positions in memory-mapped .npy: loss and time.
 
-Both see the same windows in the same order: 64 frames of 31 joints at 120 Hz, less the place of the first frame.
+Both see the same windows in the same order: 64 frames of 31 joints at 120 Hz, minus the place of the first frame.
 """
 
 from __future__ import annotations
@@ -57,7 +57,7 @@ def originals(vault: Path, folder: Path, people: Path) -> None:
 
 
 def trained(windows: learning.WindowSet, read: Callable[[Any], Any]) -> dict[str, Any]:
-    """Train, and return the loss of each epoch and the time of reading and of all."""
+    """Train, and return the loss of each epoch, the time of reading and the whole time."""
     import torch  # pyright: ignore[reportMissingImports]
 
     torch.manual_seed(SEED)

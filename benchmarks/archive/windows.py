@@ -1,7 +1,7 @@
-"""Windows for learning: from an archive, from compressed .npz, and from memory-mapped .npy.
+"""Speed of windows for learning: from an archive, from compressed .npz, and from memory-mapped .npy.
 
 epoch      all windows once, shuffled so that each block is decoded once, from a cold start
-random     windows in any order, after an epoch; the archive's decoded blocks are in memory, as .npy files are
+random     windows in any order, after an epoch; the archive's decoded blocks are in memory, like .npy files
 """
 
 from __future__ import annotations
@@ -53,7 +53,7 @@ def measure(vault: Path, folder: Path) -> dict[str, Any]:
 
 @lru_cache
 def windows_of_all(vault: Path) -> list[tuple[str, int]]:
-    """(name, first frame) of every window at the recordings' own rate."""
+    """(name, first frame) of every window at the recordings' original rate."""
     windows = learning.WindowSet(vault, FRAMES, STRIDE)
     with archive.open_archive(vault) as db:
         counts = {row.name: windows.cut.windows(row.frames, row.rate) for row in db.rows()}
@@ -69,7 +69,7 @@ def per_second(read: Callable[[Any], Any], numbers: Any) -> float:
 
 
 def plain(vault: Path, folder: Path) -> None:
-    """The decoded positions of each recording as float32, in .npz and .npy files."""
+    """Writes the decoded positions of each recording as float32 to .npz and .npy files."""
     (folder / "plain").mkdir(parents=True, exist_ok=True)
     with archive.open_archive(vault) as db:
         for entry in db:
@@ -81,7 +81,7 @@ def plain(vault: Path, folder: Path) -> None:
 
 
 def from_npz(folder: Path, name: str, start: int) -> Any:
-    """A window, from a file that is decompressed whole."""
+    """A window from a compressed file, which is decompressed whole."""
     with np.load(folder / "plain" / f"{name.rpartition('/')[2]}.npz") as file:
         return file["positions"][start : start + FRAMES].copy()
 
@@ -92,12 +92,12 @@ def mapped(folder: Path, name: str) -> Any:
 
 
 def from_npy(folder: Path, name: str, start: int) -> Any:
-    """A window, from a file that stays mapped."""
+    """A window from a memory-mapped file."""
     return np.array(mapped(folder, name)[start : start + FRAMES])
 
 
 def memory(vault: Path) -> dict[str, float]:
-    """MB of the process at its peak: after one epoch with a small cache, and after three more."""
+    """Peak memory of the process, MB: after one epoch with a small cache, and after three more."""
     windows = learning.WindowSet(vault, FRAMES, STRIDE, cache_bytes=4 << 20)
     peaks = []
     for epoch in range(4):

@@ -1,1 +1,1 @@
-"""Codecs of point clouds of people, measured on synthetic sequences whose true surface and skeleton are known."""
+"""Benchmarks of codecs for point clouds of people, on synthetic sequences with known surface and skeleton."""

@@ -1,4 +1,4 @@
-"""Results of other systems on point clouds of people, as their sources print them or as they were run elsewhere."""
+"""Results of other systems on point clouds of people, from their papers or from runs elsewhere."""
 
 from __future__ import annotations
 
@@ -7,8 +7,8 @@ from dataclasses import dataclass
 
 @dataclass(frozen=True)
 class Cited:
-    """A result that is not measured here: system, data, compression ratio; D1 and D2 in metres and the PSNR of
-    rendered views in dB, None where they are not known.
+    """A result from elsewhere: system, data, compression ratio; D1 and D2 in metres and the PSNR of rendered views in
+    dB, None if unknown.
     """
 
     system: str
@@ -23,7 +23,7 @@ SPARSE = "10,000 fresh points a frame"
 DENSE = "151,000 points on a 4.1 mm grid"
 PAPER = "Lien and Bajcsy 2006, tables 1 and 2"
 CITED_FLOOR_DB, CITED_FLOOR_M = 26.8, 0.0078
-"""What a second perfect sample scores on the sparse recording: views in dB, D1 in metres."""
+"""Scores of a second perfect sample on the sparse recording: views in dB, D1 in metres."""
 
 CITED = (
     Cited("G-PCC, scale ½", SPARSE, 13, 0.0027, 0.0016, 30),

@@ -1,9 +1,9 @@
-"""How often and how well a first pose is found without a skeleton: people × poses × ways of recording.
+"""Success rate and errors of first poses without a skeleton: people × poses × kinds of recording.
 
-A frame stands alone: the actor faces a random direction and one of three axes is up. Errors are those of 14 joints
-against the true ones. The fitted body has other proportions, so some centimetres of every error are differences between
-the two bodies' joints. A pose counts as found if no joint is off by more than 12 cm. If the body is found back
-to front, its limbs are in place with left and right exchanged; such frames count as found and are listed as well.
+Each frame is independent: the actor faces a random direction and one of three axes is up. Errors are distances of 14
+joints from the true ones. The fitted body has other proportions, so some centimetres of every error are differences
+between the two bodies' joints. A pose counts as found if no joint is off by more than 12 cm. A body found back to front
+has its limbs in place with left and right exchanged; it counts as found and is also listed.
 """
 
 from __future__ import annotations
@@ -41,7 +41,7 @@ PEOPLE = (
     "makehuman-female-thin", "makehuman-female-old-heavy", "capsules",
 )  # fmt: skip
 LARGE = 1.12
-"""Scale of the largest person, against the average man."""
+"""Scale of the largest person, relative to the average man."""
 RECORDINGS: dict[str, dict[str, Any]] = {
     "clean": {}, "noise of 1 cm": {"noise_m": 0.01}, "5 % of the points": {"keep": 0.05}, "three views": {"views": 3},
     "one view": {"views": 1}, "ten depth cameras": {"rig": Rig()},
@@ -51,8 +51,8 @@ CLIPS = ("01_01", "02_05", "03_03", "16_02", "49_20", "118_30", "131_04", "salsa
 
 @dataclass
 class FirstPose:
-    """The result of one frame: joint errors in metres and their worst joint, whether left and right are exchanged,
-    seconds of processor time; or why no pose was found.
+    """The result of one frame: joint errors in metres and the worst joint, whether left and right are exchanged,
+    seconds of processor time; or the reason for no pose.
     """
 
     person: str
@@ -73,8 +73,8 @@ class FirstPose:
 
 
 def standing(actor: Actor, data: Path, every: float = 3.0, most: int = 4) -> Iterator[tuple[str, Performance]]:
-    """Frames of CMU's clips in which the actor stands (head above hips above feet): one every `every` seconds, at most
-    `most` of a clip. Yields a label and the performance of the frame.
+    """Yields label and performance of frames of CMU's clips in which the actor stands (head above hips above feet): one
+    every `every` seconds, at most `most` in a clip.
     """
     for clip in CLIPS:
         act = retarget.perform_clip(actor, data, clip, 1 / every)
@@ -89,7 +89,7 @@ def standing(actor: Actor, data: Path, every: float = 3.0, most: int = 4) -> Ite
 
 
 def label_seed(person: str, pose: str, seed: int) -> int:
-    """A seed of the frame's own, so that more poses or people leave the other frames as they are."""
+    """A seed for each frame, so that other frames stay the same if poses or people are added."""
     return zlib.crc32(f"{person}, {pose}, {seed}".encode())
 
 
@@ -101,7 +101,7 @@ def find_pose(act: Performance, person: str, pose: str, recording: str, seed: in
     clouds = sequences.record(act, seed=seed, **RECORDINGS[recording])
     up = "yzx"[seed % 3]
     turn = body_fit.UPRIGHT[up]
-    points = clouds.positions[0] @ turn  # from y up to this axis up
+    points = clouds.positions[0] @ turn  # turns the up axis from y to this axis
     result = FirstPose(person, pose, recording, len(points))
     started = time.process_time()
     try:
@@ -122,8 +122,8 @@ def find_pose(act: Performance, person: str, pose: str, recording: str, seed: in
 
 
 def frames(data: Path, quick: bool) -> Iterator[tuple[Performance, str, str, str]]:
-    """Performance, person, pose and recording of every frame: every person in every pose, and frames of CMU's clips;
-    the ways of recording alternate.
+    """Yields performance, person, pose and recording of every frame: every person in every pose, and frames of CMU's
+    clips; the kinds of recording alternate.
     """
     names = [name for name in PEOPLE if name == "capsules" or makehuman.available()]
     people = {name: makehuman.find(name) for name in (names[::3] if quick else names)}
@@ -145,9 +145,9 @@ def run(
     jobs: int = 1,
     report: Callable[[FirstPose], None] = lambda _: None,
 ) -> list[FirstPose]:
-    """The results of all frames, in `jobs` processes.
+    """Results of all frames, measured in `jobs` processes.
 
-    quick: only every third person. seed: of the directions, places and noise of all frames.
+    quick: only every third person. seed: for the directions, places and noise of all frames.
     """
     results = list[FirstPose]()
     with ProcessPoolExecutor(jobs, mp_context=get_context("spawn")) as pool:
@@ -158,7 +158,7 @@ def run(
 
 
 def markdown(results: Sequence[FirstPose]) -> str:
-    """Success rates and errors of all frames, and by pose, person and way of recording."""
+    """A page with success rates and errors of all frames, and by pose, person and kind of recording."""
     parts = [
         "# A first pose without a skeleton",
         "Made by `scripts/bench first-poses`. Single frames in random directions, each with one of three axes up; 14 "
@@ -178,7 +178,7 @@ def markdown(results: Sequence[FirstPose]) -> str:
 
 
 def cells(results: Sequence[FirstPose]) -> list[str]:
-    """Frames, share found, back to front, mean error, median and maximum of the worst joints, mean seconds."""
+    """Table cells: frames, share found, back to front, mean error, median and maximum of worst joints, mean seconds."""
     good = [f for f in results if not f.problem]
     if not good:
         return [str(len(results)), "0", "–", "–", "–", "–", "–"]
@@ -201,7 +201,7 @@ def write_tables(folder: Path) -> Path:
 @click.option("-o", "--output", default="docs/results", show_default=True, type=click.Path(path_type=Path))
 @click.option("--data", default=datasets.SHARED, show_default=True, type=click.Path(path_type=Path), help="Recordings.")
 @click.option("--quick", is_flag=True, help="Every third person.")
-@click.option("--seed", default=0, show_default=True, help="Another one gives other directions, places and noise.")
+@click.option("--seed", default=0, show_default=True, help="Seed of the directions, places and noise.")
 @click.option("--jobs", default=1, show_default=True, help="Processes.")
 def command(output: Path, data: Path, quick: bool, seed: int, jobs: int) -> None:
     """Find first poses without a skeleton, of people of many builds in many poses.

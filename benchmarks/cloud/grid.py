@@ -1,10 +1,10 @@
-"""How closely bodycast tracks a body, over a grid of clips, frame rates, noise, shares of points and views.
+"""Tracking errors of bodycast, over a grid of clips, frame rates, noise, shares of points and views.
 
     clip, rate, views ──record once──► clean points ──► noise, share kept ──► tracker with the first pose ──► one result
 
-A result holds the joint errors in centimetres, the frames whose worst joint is off by more than 10 cm ("lost") and the
-longest run of them, and frames per second of processor time from raw points to a pose. An interrupted run continues
-where it stopped.
+A result has the joint errors in centimetres, the number of lost frames (worst joint off by more than 10 cm) and their
+longest run, and frames per second of processor time from raw points to a pose. An interrupted run continues where it
+stopped.
 """
 
 from __future__ import annotations
@@ -69,7 +69,7 @@ class GridResult:
 def conditions(quick: bool = False) -> list[Condition]:
     """The whole grid, clip by clip. quick: only conditions that differ from the default in at most one parameter.
 
-    The quick ones are ordered from mild to hard, all clips in each step, so that an interrupted run covers all clips.
+    quick orders conditions from mild to hard, all clips in each step, so that an interrupted run covers all clips.
     """
     every = [
         Condition(clip, rate, noise, kept, views)
@@ -91,7 +91,7 @@ def conditions(quick: bool = False) -> list[Condition]:
 
 
 def run(wanted: Sequence[Condition], data: Path, frames: int, known: Sequence[GridResult]) -> Iterator[GridResult]:
-    """Results of these conditions; those in `known` are not measured again, clips without a file are skipped."""
+    """Results of these conditions. Conditions in `known` are not measured again; clips without a file are skipped."""
     done = {condition_of(r): r for r in known if r.frames == frames}
     actor = makehuman.find()
     recorded: tuple[str, int, int] | None = None
@@ -109,12 +109,12 @@ def run(wanted: Sequence[Condition], data: Path, frames: int, known: Sequence[Gr
 
 
 def condition_of(result: GridResult) -> Condition:
-    """The condition that a result was measured under."""
+    """The condition of a result."""
     return Condition(result.clip, result.rate, result.noise_cm, result.kept, result.views)
 
 
 def thinned(clouds: PointClouds, condition: Condition) -> PointClouds:
-    """The recording with the condition's share of the points, chosen at random, and its noise; no change of views."""
+    """The recording with a random share of its points and with noise, as in the condition; views do not change."""
     assert clouds.colours is not None
     positions, colours = list[Floats](), list[Bytes]()
     for frame, (points, point_colours) in enumerate(zip(clouds.positions, clouds.colours, strict=True)):
@@ -165,7 +165,7 @@ def measure(
 
 
 def merged(known: Sequence[GridResult], fresh: Sequence[GridResult]) -> list[GridResult]:
-    """Known and fresh results in the grid's order; a fresh one replaces the known one of the same condition."""
+    """Known and fresh results in the grid's order. A fresh result replaces a known one of the same condition."""
     results = {condition_of(r): r for r in (*known, *fresh)}
     return [results[c] for c in conditions() if c in results]
 
@@ -200,12 +200,12 @@ def markdown(results: Sequence[GridResult]) -> str:
 
 
 def is_mild(result: GridResult) -> bool:
-    """Whether the points cover the whole surface, with at most 0.5 cm of noise and at least a quarter of the points."""
+    """Whether a condition is mild: the whole surface, at most 0.5 cm of noise, at least a quarter of the points."""
     return result.views == 0 and result.noise_cm <= 0.5 and result.kept >= 25
 
 
 def cells(results: Sequence[GridResult]) -> list[str]:
-    """Mean error, largest error, lost frames, longest run of them and mean frames a second, as table cells."""
+    """Table cells: mean error, largest error, lost frames, their longest run, mean frames a second."""
     lost, frames = sum(r.lost_frames for r in results), sum(r.frames - 1 for r in results)
     return [
         f"{np.mean([r.mean_cm for r in results]):.2f}", f"{max(r.max_cm for r in results):.1f}",
@@ -219,7 +219,7 @@ def cells(results: Sequence[GridResult]) -> list[str]:
 @click.option("--data", default=datasets.SHARED, show_default=True, type=click.Path(path_type=Path), help="Recordings.")
 @click.option("--frames", default=60, show_default=True, type=click.IntRange(2), help="Frames of every clip.")
 @click.option("--quick", is_flag=True, help="Vary one parameter at a time: an eighth of the grid.")
-@click.option("--again", is_flag=True, help="Measure conditions again that have a result in the folder.")
+@click.option("--again", is_flag=True, help="Also measure conditions with a result in the folder.")
 def command(output: Path, data: Path, frames: int, quick: bool, again: bool) -> None:
     """Track a body through eight clips at two frame rates, with noise, fewer points and fewer views.
 

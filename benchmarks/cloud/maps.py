@@ -1,9 +1,9 @@
-"""Depth and colour maps of a person from six views: the input of image and video codecs in place of points.
+"""Depth and colour maps of a person from six views: input for image and video codecs instead of points.
 
-    points ──forward──► depth and colour of six orthographic views ──inverse──► one point per pixel that shows a point
+    points ──forward──► depth and colour of six orthographic views ──inverse──► one point per non-empty pixel
 
-The views stand 60 degrees apart around the vertical axis and do not move. The pixel size is chosen so that about as
-many pixels show a point as a frame has points: smaller pixels would leave holes, larger ones would lose detail.
+The fixed views are 60 degrees apart around the vertical axis. The pixel size gives about as many non-empty pixels as a
+frame has points: smaller pixels would leave holes, larger ones would lose detail.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ BLOCK = 16
 MOST_PIXELS = 1024
 """Largest width and height of a view."""
 BEHIND_M = 0.08
-"""A pixel this far behind most of its neighbours shows the far side of the body."""
+"""A pixel at least this far behind most of its neighbours shows the far side of the body."""
 
 
 @dataclass(frozen=True)
@@ -49,12 +49,12 @@ class Cameras:
         return _whole_blocks(2 * self.height / self.pixel)
 
     def numbers(self) -> tuple[float, ...]:
-        """Everything but the vertical axis, for a header."""
+        """All fields except the vertical axis, for a header."""
         return *self.centre, self.pixel, self.across, self.height
 
     @staticmethod
     def of(numbers: Sequence[float], up: str) -> Cameras:
-        """The inverse of `numbers`, rounded to float32."""
+        """Cameras from `numbers`, rounded to float32."""
         x, y, z, pixel, across, height = np.asarray(numbers, np.float32).tolist()
         return Cameras((x, y, z), pixel, across, height, up)
 
@@ -115,7 +115,7 @@ def forward(points: Floats, colours: Bytes | None, views: Cameras) -> tuple[Floa
 
 
 def inverse(depth: Floats, colour: Bytes, views: Cameras) -> tuple[Floats, Bytes]:
-    """Points (n, 3) and colours (n, 3): one at the centre of every pixel whose depth is not NaN."""
+    """Points (n, 3) and colours (n, 3): one at the centre of every pixel with a depth."""
     points = list[Floats]()
     up, across, away = _axes(views)
     for view in range(VIEWS):
@@ -131,7 +131,7 @@ def inverse(depth: Floats, colour: Bytes, views: Cameras) -> tuple[Floats, Bytes
 
 
 def atlas(maps: NDArray) -> NDArray:
-    """(6, rows, columns, …) as one image (2 rows, 3 columns, …)."""
+    """Arranges six maps (6, rows, columns, …) in one image (2 rows, 3 columns, …)."""
     return np.concatenate([np.concatenate(list(half), axis=1) for half in (maps[:3], maps[3:])], axis=0)
 
 
@@ -141,9 +141,9 @@ def cut(image: NDArray) -> NDArray:
 
 
 def padded(values: Floats, present: Booleans) -> Floats:
-    """Values (rows, columns, channels) with missing pixels filled smoothly from around them, by an image pyramid.
+    """Values (rows, columns, channels), with missing pixels filled smoothly by an image pyramid.
 
-    There is then no edge at the silhouette, on which a video codec would spend bits; the mask is coded separately.
+    This removes the edge at the silhouette, on which a video codec would spend bits; the mask is coded separately.
     """
     if not present.any():
         return np.zeros_like(values)
@@ -166,7 +166,7 @@ def _halved(a: Floats) -> Floats:
 
 
 def _close(depth: Floats, colour: Floats) -> tuple[Floats, Floats]:
-    """Holes with at least five neighbours, filled with the mean of the neighbours that lie in front."""
+    """Fills holes with at least five neighbours with the mean of the front neighbours."""
     around = list(_neighbours(depth, colour))
     depths = np.stack([d for d, _ in around])
     front = np.max(np.where(np.isfinite(depths), depths, -np.inf), axis=0)
@@ -179,7 +179,7 @@ def _close(depth: Floats, colour: Floats) -> tuple[Floats, Floats]:
 
 
 def _neighbours(depth: Floats, colour: Floats) -> Iterator[tuple[Floats, Floats]]:
-    """Depth and colour of each pixel's eight neighbours; the border wraps around, where pixels are always empty."""
+    """Depth and colour of each pixel's eight neighbours. Borders wrap around; border pixels are always empty."""
     for down in (-1, 0, 1):
         for right in (-1, 0, 1):
             if down or right:

@@ -1,10 +1,10 @@
-"""Clouds that are not one person alone, within a bound, against the yardstick: `scripts/bench cloud-objects`.
+"""Clouds with other content than one person, within a bound, against a reference octree: `scripts/bench cloud-objects`.
 
     scene ─┬─ bodycast, max_error so that D1 is 2 or 0.5 mm ─► whole file
-           ├─ its points without bodies: all frames together, and each frame by itself
-           └─ the yardstick, an octree of each frame by itself ─► bytes at equal D1
+           ├─ its points without bodies: with references between frames, and each frame alone
+           └─ the yardstick, an octree of each frame alone ─► bytes at equal D1
 
-And the price of a thing beside a body: person and chair less the person, over the chair alone.
+Also the cost of an object beside a body: (person and chair − person) / chair alone.
 """
 
 from __future__ import annotations
@@ -38,14 +38,14 @@ from ..results import read_json, rounded, write_json
 from . import makehuman, objects, octree_yardstick
 
 D1_MM = (2.0, 0.5)
-BRACKET = (0.9, 1.1)  # steps of the yardstick around the one whose D1 is expected to be equal
-LIMIT = 1.1  # of the yardstick's bytes
+BRACKET = (0.9, 1.1)  # yardstick steps, relative to the step with the expected D1
+LIMIT = 1.1  # largest accepted ratio to the yardstick's bytes
 
 
 @dataclass
 class SceneResult:
-    """A scene at one D1. Bits are of a point of the recording. bodies: found and used. referring, hiding: frames that
-    refer to earlier ones, and that hide their bodies. alone_bits: without bodies; apart_bits: each frame by itself too.
+    """A scene at one D1. Bits are per point of the recording. bodies: found and used; referring: frames with
+    references; hiding: frames without their bodies; alone_bits: without bodies; apart_bits: also without references.
     """
 
     scene: str
@@ -64,7 +64,7 @@ class SceneResult:
 
 @dataclass
 class ThingResult:
-    """A chair beside a person whose first pose is given, at one D1, and alone: bits of a point of the chair."""
+    """Bits per point of a chair, beside a person with given first pose and alone, at one D1."""
 
     d1_mm: float
     beside_bits: float
@@ -72,7 +72,7 @@ class ThingResult:
 
 
 def measure(scene: str, clouds: PointClouds, d1_mm: float) -> SceneResult:
-    """Raises BadInput for a broken promise."""
+    """Measures a scene at one D1. Raises BadInput for a broken promise."""
     bound = d1_mm / 1000 / lattice.RMS_PER_BOUND
     blob = api.encode(clouds, Bodycast(max_error=bound))
     decoded = api.decode(blob, PointClouds)
@@ -92,7 +92,7 @@ def measure(scene: str, clouds: PointClouds, d1_mm: float) -> SceneResult:
 
 
 def _references(encoded: Encoded[Any]) -> list[Reference]:
-    """What each frame refers to."""
+    """The reference of each frame."""
     found = list[Reference]()
     for chunk in encoded.chunks:
         part = unpack_chunk(chunk, len(encoded.shared)).exact_points
@@ -101,13 +101,13 @@ def _references(encoded: Encoded[Any]) -> list[Reference]:
 
 
 def _mean_d1(clouds: PointClouds, decoded: PointClouds) -> float:
-    """Metres, over the frames with points."""
+    """Mean D1 over the frames with points, metres."""
     filled = [k for k, p in enumerate(clouds.positions) if len(p)]
     return float(np.mean([point_clouds.d1(clouds, decoded, k) for k in filled]))
 
 
 def _alone(clouds: PointClouds, bound: float, chunk_frames: int) -> int:
-    """The bytes of the points without bodies."""
+    """Bytes of the points, coded without bodies."""
     frames = [(np.asarray(p), None) for p in clouds.positions]
     spans = [slice(s, min(s + chunk_frames, len(frames))) for s in range(0, len(frames), chunk_frames)]
     nobody = [ChunkBodies.nobody(s.stop - s.start) for s in spans]
@@ -115,7 +115,7 @@ def _alone(clouds: PointClouds, bound: float, chunk_frames: int) -> int:
 
 
 def yardstick_bytes(clouds: PointClouds, d1_m: float) -> float:
-    """The bytes of the yardstick at this D1, interpolated in the logarithm between two steps."""
+    """Bytes of the yardstick at this D1, interpolated logarithmically between two steps."""
     d1, size = list[float](), list[int]()
     for factor in BRACKET:
         step = 2 * d1_m * factor
@@ -127,7 +127,7 @@ def yardstick_bytes(clouds: PointClouds, d1_m: float) -> float:
 
 
 def measure_thing(frames: int, d1_mm: float) -> ThingResult:
-    """The price of a chair beside a person."""
+    """Measures the cost of a chair beside a person."""
     bound, actor = d1_mm / 1000 / lattice.RMS_PER_BOUND, makehuman.find()
     performance = sequences.jumping_jacks(actor, frames, objects.RATE)
     scene = objects.person_and_chair(actor, frames)
@@ -180,7 +180,7 @@ def write_tables(folder: Path) -> Path:
 
 
 def _stored(path: Path, measured: Sequence[str]) -> tuple[list[SceneResult], list[ThingResult]]:
-    """The stored results but those of scenes that are measured again."""
+    """Stored results, without the scenes that are measured again."""
     content = read_json(path)
     scenes = [SceneResult(**record) for record in content["scenes"] if record["scene"] not in measured]
     return scenes, [ThingResult(**record) for record in content["things"]]
@@ -194,7 +194,7 @@ def _stored(path: Path, measured: Sequence[str]) -> tuple[list[SceneResult], lis
     "chosen",
     multiple=True,
     type=click.Choice(list(objects.SCENES)),
-    help="Only this scene: stored ones stay.",
+    help="Only this scene; stored results of others stay.",
 )
 def command(output: Path, frames: int, chosen: tuple[str, ...]) -> None:
     """Measure points within a bound on props, a dog, a robe, two people, empty frames and a lost track, against an

@@ -1,8 +1,8 @@
-"""Synthetic recordings that are not one person alone: props, an animal, a robe, several people, empty frames.
+"""Synthetic recordings of more than one person alone: props, an animal, a robe, several people, empty frames.
 
-    solids (cones, boxes) of a frame ─► fresh random points on their surface, none inside another solid ─► PointClouds
+    solids (cones, boxes) of a frame ─► fresh random points on their common surface ─► PointClouds
 
-As in `sequences.record`, every frame has other points, and the seed decides everything.
+As in `sequences.record`, every frame has new points, and the seed determines all of them.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ WAVES = 5  # folds around a robe
 
 @dataclass(frozen=True, eq=False)
 class Cone:
-    """A cone between two discs. start, stop (3,): their centres; near, far: their radii, metres."""
+    """A truncated cone. start, stop (3,): centres of its discs; near, far: their radii, metres."""
 
     start: Floats
     stop: Floats
@@ -34,18 +34,18 @@ class Cone:
 
     @property
     def area(self) -> float:
-        """Square metres."""
+        """Surface area, square metres."""
         return float(np.pi * self._parts.sum())
 
     @property
     def _parts(self) -> Floats:
-        """Areas over π of the mantle and of both discs."""
+        """Areas of the mantle and of both discs, divided by π."""
         slant = np.hypot(np.linalg.norm(self.stop - self.start), self.near - self.far)
         return np.array([(self.near + self.far) * slant, self.near**2, self.far**2])
 
     @property
     def frame(self) -> tuple[Floats, float, Floats, Floats]:
-        """Its axis, its length and two directions across."""
+        """Axis, length, and two directions across."""
         axis = self.stop - self.start
         length = float(np.linalg.norm(axis))
         axis = axis / length
@@ -75,14 +75,14 @@ class Cone:
 
 @dataclass(frozen=True, eq=False)
 class Box:
-    """A box along the axes. low, high (3,): corners, metres."""
+    """An axis-aligned box. low, high (3,): corners, metres."""
 
     low: Floats
     high: Floats
 
     @property
     def area(self) -> float:
-        """Square metres."""
+        """Surface area, square metres."""
         return float(2 * self._faces.sum())
 
     @property
@@ -105,7 +105,7 @@ class Box:
 
 
 def _along_cone(near: float, far: float, share: Floats) -> Floats:
-    """Where on the way from the first disc to the second this share of the mantle lies before."""
+    """Position between the discs, 0 … 1, before which this share of the mantle's area lies."""
     if abs(far - near) < 1e-9:
         return share
     return (np.sqrt(near**2 + share * (far**2 - near**2)) - near) / (far - near)
@@ -115,7 +115,7 @@ Solids = Sequence[Cone | Box]
 
 
 def surface_points(solids: Solids, points: int, rng: np.random.Generator) -> tuple[Floats, Integers]:
-    """Random points (points, 3) on the outside of the solids together, and the solid (points,) of each."""
+    """Random points (points, 3) on the outer surface of all solids together, and the solid (points,) of each."""
     area = np.array([solid.area for solid in solids])
     found, owners = np.zeros((0, 3)), np.zeros(0, np.int64)
     while len(found) < points:
@@ -179,12 +179,12 @@ def _positions(performance: Performance | tuple[Performance, Performance], frame
 
 
 def chair(actor: Actor, frames: int) -> PointClouds:
-    """A chair that stands."""
+    """A chair."""
     return _recorded(frames, lambda _, rng: surface_points(chair_solids((0, 0, 0)), CHAIR_POINTS, rng)[0])
 
 
 def dog(actor: Actor, frames: int) -> PointClouds:
-    """A dog that walks."""
+    """A walking dog."""
     return _recorded(frames, lambda k, rng: surface_points(dog_solids(k / RATE), DOG_POINTS, rng)[0])
 
 
@@ -196,13 +196,13 @@ def person_and_chair(actor: Actor, frames: int) -> PointClouds:
 
 
 def two_people(actor: Actor, frames: int) -> PointClouds:
-    """One does jumping jacks, one turns."""
+    """Two people: one does jumping jacks, one turns."""
     people = _positions(sequences.pair(actor, frames, RATE), frames)
     return _recorded(frames, lambda k, _: people[k])
 
 
 def person_in_a_robe(actor: Actor, frames: int) -> PointClouds:
-    """A person who turns in a robe, which hides the legs."""
+    """A person turning in a robe, which hides the legs."""
     performance = sequences.turning(actor, frames, RATE)
     person = _positions(performance, frames)
 

@@ -1,11 +1,11 @@
-"""The yardstick of clouds without a body: an octree of occupied cubes, each frame by itself, as G-PCC codes geometry.
+"""Yardstick for clouds without a body: an octree of occupied cubes for each frame alone, like G-PCC's geometry.
 
     points ─► cells of a cubic grid ─► occupancy of the eight children of each cube, bit by bit ─► adaptive bits
 
-As in G-PCC (ISO/IEC 23090-9, octree geometry), the contexts of a child's bit are which of the six cubes beside its cube
-are occupied, the children of this cube that are coded, and coded children beside it in the cubes before. Its
-probabilities are mixed as in `entropy.bit_arrays`, which takes fewer bits than G-PCC's single contexts. Every frame
-starts without statistics, as an intra frame does.
+As in G-PCC (ISO/IEC 23090-9, octree geometry), the context of a child's bit is the occupancy of the six cubes beside
+its cube, of the coded children of this cube, and of coded children beside it in earlier cubes. Probabilities are mixed
+as in `entropy.bit_arrays`, which takes fewer bits than G-PCC's single contexts. Every frame starts without statistics,
+like an intra frame.
 """
 
 from __future__ import annotations
@@ -16,12 +16,12 @@ from mocodec.codecs.bodycast import octree
 from mocodec.entropy.bit_arrays import BitEncoder
 from mocodec.typing import Floats, Integers
 
-HEADER_BYTES = 24  # of a frame: its corner, step, depth and number of points
+HEADER_BYTES = 24  # header of a frame: corner, step, depth and number of points
 POPULATION = np.array([bin(mask).count("1") for mask in range(256)])
 
 
 def frame_bytes(points: Floats, step_m: float) -> int:
-    """The bytes of a frame (n, 3) on a cubic grid; its distances are at most √3/2 steps."""
+    """Bytes of a frame (n, 3) on a cubic grid, with errors of at most √3/2 steps."""
     if not len(points):
         return 1
     cells = np.round(points / step_m).astype(np.int64)
@@ -38,12 +38,12 @@ def frame_bytes(points: Floats, step_m: float) -> int:
 
 
 def decoded(points: Floats, step_m: float) -> Floats:
-    """The distinct cells' centres (n, 3) of a frame."""
+    """Centres (n, 3) of the distinct cells of a frame."""
     return np.unique(np.round(points / step_m), axis=0) * step_m
 
 
 def _code_level(encoder: BitEncoder, masks: Integers, neighbours: Integers, height: int) -> None:
-    """masks (n + 1,): occupied children of each cube; the last has none. neighbours (6, n): rows, n where empty."""
+    """masks (n + 1,): occupied children of each cube; the last is empty. neighbours (6, n): rows; n: empty."""
     own, octants = masks[:-1, None], np.arange(8)
     occupied = neighbours < neighbours.shape[1]
     pattern = (occupied.T << np.arange(6)).sum(axis=1)[:, None]
@@ -53,7 +53,7 @@ def _code_level(encoder: BitEncoder, masks: Integers, neighbours: Integers, heig
     for axis in range(3):
         opposite = octants ^ 1 << axis
         inside = own >> opposite & 1
-        before = masks[neighbours[2 * axis]][:, None] >> opposite & 1  # coded: cubes are in the order of their codes
+        before = masks[neighbours[2 * axis]][:, None] >> opposite & 1  # already coded: cubes are sorted by code
         behind = occupied[2 * axis + 1].astype(np.int64)[:, None]
         beside = beside * 4 + np.where(octants >> axis & 1, 2 * inside + behind, before)
     filled = occupied.sum(axis=0)[:, None]
@@ -68,7 +68,7 @@ def _code_level(encoder: BitEncoder, masks: Integers, neighbours: Integers, heig
         ],
         axis=2,
     )
-    is_known = (octants == 7) & (coded == 0)  # one child is occupied
+    is_known = (octants == 7) & (coded == 0)  # at least one child is occupied
     sets = np.broadcast_to(min(height, 15) * 8, few.shape) + octants
     bits = (own >> octants & 1).astype(bool)
     encoder.code(contexts[~is_known], sets[~is_known], bits[~is_known])

@@ -1,10 +1,10 @@
-"""Points within a bound against Draco at equal D1, and what `residual` stands for: `scripts/bench cloud-points`.
+"""Points within a bound against Draco at equal D1, and bytes and errors of `residual`: `scripts/bench cloud-points`.
 
     clip ─► recorded frames ─┬─ bodycast, max_error so that D1 is 5, 2, 1, 0.5 mm ─► bytes of places and of colours
                              ├─ bodycast, residual 0 to 100 and exact ─► bytes, errors
                              └─ Draco at 6 to 13 bits, with and without colours ─► bytes, D1 ─interpolated─► bytes at D1
 
-All bytes count. Errors are measured by SciPy's k-d tree alone, in both directions.
+All bytes count. SciPy's k-d tree measures the errors, in both directions.
 """
 
 from __future__ import annotations
@@ -45,14 +45,14 @@ DRACO_BITS = (6, 7, 8, 9, 10, 11, 12, 13)
 POINTS, DENSE_POINTS, RATE = 10_000, 100_000, 15.0
 DENSE_CLIP, DENSE_FRAMES, DENSE_D1_MM = "01_01", 2, (2.0, 1.0)
 RESIDUALS: tuple[float | str, ...] = (0, 10, 25, 26, 40, 55, 70, 85, 100, "exact")
-D1_PER_BOUND = {5.0: 0.577, 2.0: 0.591, 1.0: 0.608, 0.5: 0.630}  # of 10,000 points, as measured; D1 is measured again
+D1_PER_BOUND = {5.0: 0.577, 2.0: 0.591, 1.0: 0.608, 0.5: 0.630}  # expected for 10,000 points; the result is measured
 RESIDUAL_CLIP, RESIDUAL_FRAMES = "salsa_09", 3
 
 
 def measured(clouds: PointClouds, decoded: PointClouds) -> dict[str, float]:
-    """D1, D2 and the largest distance in millimetres, and the PSNR of the luma; as means, or largest, over frames.
+    """D1, D2 and the largest distance in millimetres, and the PSNR of luma: means over frames, or the largest.
 
-    Both have colours, the first has normals.
+    Both clouds need colours, the first needs normals.
     """
     assert clouds.normals is not None
     assert clouds.colours is not None
@@ -80,7 +80,7 @@ def _rms(values: Floats) -> float:
 
 
 def draco_curve(clouds: PointClouds) -> list[DracoPoint]:
-    """Draco at each of DRACO_BITS, as means over the first and the last frame."""
+    """Draco at each of DRACO_BITS: means over the first and the last frame."""
     draco, curve = needs("DracoPy"), list[DracoPoint]()
     frames = sorted({0, len(clouds) - 1})
     assert clouds.colours is not None
@@ -108,7 +108,7 @@ def draco_curve(clouds: PointClouds) -> list[DracoPoint]:
 
 
 def colour_bytes(encoded: Encoded[Any]) -> int:
-    """The bytes of the colours of all points of a file with all points."""
+    """Bytes of the colours in a file of points."""
     bodies, total = len(unpack_models(encoded.shared)), 0
     for chunk in encoded.chunks:
         streams = unpack_chunk(chunk, bodies)
@@ -120,7 +120,7 @@ def colour_bytes(encoded: Encoded[Any]) -> int:
 
 
 def record(clip: str, frames: int, points: int, data: Path) -> tuple[Performance, PointClouds] | None:
-    """A clip on the actor, recorded with colours and normals; None if it is not there."""
+    """A clip on the actor, recorded with colours and normals; None if it does not exist."""
     performance = tracking.perform(makehuman.find(), data, clip, frames, RATE)
     if performance is None:
         return None
@@ -128,7 +128,7 @@ def record(clip: str, frames: int, points: int, data: Path) -> tuple[Performance
 
 
 def measure(clip: str, frames: int, points: int, d1s_mm: Sequence[float], data: Path) -> Iterator[PointResult]:
-    """All bounds of a clip; none if its recording is not there."""
+    """Yields the results of all bounds of a clip; nothing if its recording does not exist."""
     if (found := record(clip, frames, points, data)) is None:
         return
     performance, clouds = found
@@ -157,7 +157,7 @@ def measure(clip: str, frames: int, points: int, d1s_mm: Sequence[float], data: 
 
 
 def at_d1(curve: Sequence[DracoPoint], d1_mm: float) -> DracoPoint:
-    """Draco at this D1, interpolated in the logarithm of D1."""
+    """Draco at this D1, interpolated over the logarithm of D1."""
     ordered = sorted(curve, key=lambda point: point.d1_mm)
     known: Floats = np.log([point.d1_mm for point in ordered])
     fields = [asdict(point) for point in ordered]
@@ -165,7 +165,7 @@ def at_d1(curve: Sequence[DracoPoint], d1_mm: float) -> DracoPoint:
 
 
 def measure_residuals(data: Path) -> Iterator[ResidualResult]:
-    """Each of RESIDUALS on one clip; none if its recording is not there."""
+    """Yields the results of RESIDUALS on one clip; nothing if its recording does not exist."""
     if (found := record(RESIDUAL_CLIP, RESIDUAL_FRAMES, POINTS, data)) is None:
         return
     performance, clouds = found

@@ -39,8 +39,8 @@ class DracoPoint:
 
 @dataclass
 class PointResult:
-    """One clip at one bound. bytes: of a frame, of the whole file. colour_bytes: the colours' part of them. once: bytes
-    of the file that do not grow with the frames. draco_…: Draco at the same D1, interpolated.
+    """One clip at one bound. bytes: of the whole file, per frame; colour_bytes: the colours' part of them; once: bytes
+    of the file that do not grow with the frames; draco_…: Draco at the same D1, interpolated.
     """
 
     clip: str
@@ -64,17 +64,17 @@ class PointResult:
 
     @property
     def long_bytes(self) -> float:
-        """Bytes of a frame if what is sent once served LONG frames."""
+        """Bytes of a frame if the file had LONG frames."""
         return self.bytes - self.once / self.frames + self.once / LONG
 
     @property
     def place_share(self) -> float:
-        """Bytes without colours, at LONG frames, over Draco's."""
+        """Bytes without colours, for LONG frames, over Draco's."""
         return (self.long_bytes - self.colour_bytes) / self.draco_bytes
 
     @property
     def share(self) -> float:
-        """Bytes with colours, at LONG frames, over Draco's."""
+        """Bytes with colours, for LONG frames, over Draco's."""
         return self.long_bytes / self.draco_coloured_bytes
 
     @property
@@ -84,13 +84,13 @@ class PointResult:
 
     @property
     def draco_colour_bits(self) -> float:
-        """Bits of a point's colour, without loss, in Draco."""
+        """Bits of a point's colour in Draco, lossless."""
         return 8 * (self.draco_coloured_bytes - self.draco_bytes) / self.points
 
 
 @dataclass
 class ResidualResult:
-    """One clip at one residual. bytes: of a frame, without `once`, which is sent once. bound_mm: that is promised."""
+    """One clip at one residual. bytes: per frame, without `once`, which is sent once; bound_mm: promised bound."""
 
     residual: str
     frames: int
@@ -104,7 +104,7 @@ class ResidualResult:
 
 
 def read(folder: Path) -> tuple[list[PointResult], list[ResidualResult], str]:
-    """The results of a folder, and the sentence that says on what they were measured."""
+    """The results of a folder, and a sentence about the machine."""
     content = read_json(folder / "cloud_points.json")
     points = [PointResult(**record) for record in content["records"]]
     measured = f"{measured_on(content['machine'])} The load of the machine was {content['load']:.0f}."

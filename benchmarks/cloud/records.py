@@ -8,16 +8,16 @@ from typing import NamedTuple
 from mocodec.typing import Bytes
 
 LONG = 1000
-"""Number of frames that `CloudRecord.ratio_1000` is calculated for."""
+"""Number of frames for `CloudRecord.ratio_1000`."""
 
 
 @dataclass
 class CloudRecord:
     """One coder at one setting on one sequence. Lengths in metres, times in seconds.
 
-    bytes: the whole stream of all `frames` frames. once_bytes: the part of it that does not grow with the number of
-    frames (body model, header, index). quality: the measures of `point_clouds.compare` between original and decoded,
-    averaged over `measured_frames` frames. floor: the same measures of a second perfect sample of the surface.
+    bytes: the whole stream of all `frames` frames. once_bytes: bytes that do not grow with the number of frames (body
+    model, header, index). quality: measures of `point_clouds.compare` between original and decoded, means over
+    `measured_frames` frames. floor: the measures of a second perfect sample of the surface.
     """
 
     sequence: str

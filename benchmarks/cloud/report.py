@@ -24,7 +24,7 @@ COLOURS = {
     "yang-jpeg": "#b08968", "h264": "#c27ba0", "h265": "#7b5ea7", "av1": "#edae49",
 }  # fmt: skip
 LOSSLESS_DB = 60.0
-"""Coders above this PSNR are left out of the figure of rendered views: their points would compress all others."""
+"""The figure of rendered views omits coders above this PSNR, which would squeeze all other points."""
 MEASURES = (
     ("d1_m", 100, ".2f"), ("d1_db", 1, ".1f"), ("d2_m", 100, ".2f"), ("d2_db", 1, ".1f"), ("y_psnr_db", 1, ".1f"),
     ("views_psnr_db", 1, ".1f"),
@@ -33,12 +33,12 @@ MEASURES = (
 
 
 def without_problems(records: Sequence[CloudRecord]) -> list[CloudRecord]:
-    """The records of coders that worked."""
+    """Records of successful coders."""
     return [r for r in records if not r.problem]
 
 
 def rows(records: Sequence[CloudRecord]) -> tuple[list[str], list[list[str]]]:
-    """Header and rows of one sequence's table, a row per coder and setting; the resampling floor is in brackets."""
+    """Header and rows of one sequence's table: a row for each coder and setting, the resampling floor in brackets."""
     head = ["coder", "bytes a frame", "ratio", f"ratio, {LONG:,} frames", "D1 cm", "D1 dB", "D2 cm", "D2 dB",
             "Y dB", "views dB", "points", "encode fps", "decode fps"]  # fmt: skip
     table = list[list[str]]()
@@ -64,7 +64,7 @@ def _with_floor(record: CloudRecord, key: str, scale: float, form: str) -> str:
 
 
 def markdown(records: Sequence[CloudRecord], machine: dict[str, Any]) -> str:
-    """The report: one table per sequence, what the bytes hold, coders without results, and results of other systems."""
+    """The report: one table per sequence, contents of the bytes, coders without results, results of other systems."""
     parts = [
         "# Point clouds of people",
         measured_on(machine),
@@ -115,7 +115,7 @@ def _or_dash(value: float | None, scale: float) -> str:
 
 
 class AveragePoint(NamedTuple):
-    """Means over the sequences of a coder at one setting: ratio, views in dB, D1 in metres, ratio at 1,000 frames."""
+    """A coder at one setting, means over the sequences: ratio, views in dB, D1 in metres, ratio at 1,000 frames."""
 
     ratio: float
     views: float
@@ -124,7 +124,7 @@ class AveragePoint(NamedTuple):
 
 
 def averages(records: Sequence[CloudRecord]) -> dict[tuple[str, bool], list[AveragePoint]]:
-    """Means over the sequences by coder and whether it got the first pose, of settings that all sequences have."""
+    """Means over the sequences, by coder and whether it got the first pose, for settings of all sequences."""
     names = {r.sequence for r in records}
     result: dict[tuple[str, bool], list[AveragePoint]] = {}
     for coder, setting in dict.fromkeys((r.coder, r.setting) for r in without_problems(records)):
@@ -137,7 +137,7 @@ def averages(records: Sequence[CloudRecord]) -> dict[tuple[str, bool], list[Aver
 
 
 def curves(records: Sequence[CloudRecord]) -> Figure:
-    """Ratio against the PSNR of six views and against D1, results of other systems in grey. Raises MissingExtra."""
+    """Figure of ratio against the PSNR of six views and against D1; other systems in grey. Raises MissingExtra."""
     figure = plots.figure(11, 6)
     from matplotlib import ticker
 
@@ -182,7 +182,7 @@ def curves(records: Sequence[CloudRecord]) -> Figure:
 
 
 def draw_cited(psnr_axes: Axes, d1_axes: Axes) -> None:
-    """Results of other systems as hollow grey marks."""
+    """Draws results of other systems as hollow grey marks."""
     what = {
         SPARSE: f"G-PCC, {SPARSE}",
         DENSE: "G-PCC, V-PCC, 151,000 points on a grid",
@@ -199,7 +199,7 @@ def draw_cited(psnr_axes: Axes, d1_axes: Axes) -> None:
 
 
 def images(measured: Sequence[Measured]) -> Figure:
-    """Images of the first sequence's middle frame, two sides each: the original, then all coders at all settings."""
+    """Figure of the first sequence's middle frame from two sides: the original, then all coders at all settings."""
     of = [m for m in measured if m.record.sequence == measured[0].record.sequence and m.decoded is not None]
     titled = [("original", measured[0].original)]
     for m in of:

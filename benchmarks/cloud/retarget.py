@@ -1,4 +1,4 @@
-"""Recorded motion on an actor: CMU clips become performances whose true joints are known.
+"""Puts recorded motion on an actor: CMU clips become performances with known true joints.
 
 clip name ──► .bvh or .amc file ──► Motion ──perform──► world rotations of the actor's joints, scaled root path
 """
@@ -31,17 +31,17 @@ BONE_ENDS = {
     "LeftArm": "LeftForeArm", "LeftForeArm": "LeftHand", "LeftUpLeg": "LeftLeg", "LeftLeg": "LeftFoot",
     "LeftFoot": "LeftToeBase", "LeftShoulder": "LeftArm",
 }  # fmt: skip
-"""The joint at the end of a joint's bone. These bones are aligned: the rest poses of actor and motion differ."""
+"""The end joint of a joint's bone. These bones are aligned, since the rest poses of actor and motion differ."""
 
 
 def clip_path(data: Path, name: str) -> Path | None:
-    """The file of a CMU clip such as 02_05 below the data folder; None if it is not there."""
+    """The file of a CMU clip, such as 02_05, in the data folder; None if it does not exist."""
     candidates = (data / "cmu/bvh" / f"{name}.bvh", data / "cmu/asfamc" / name.split("_")[0] / f"{name}.amc")
     return next((path for path in candidates if path.exists()), None)
 
 
 def read_motion(path: Path) -> Motion:
-    """A recording of motion. Raises BadInput if the file holds point clouds."""
+    """Reads a motion. Raises BadInput if the file has point clouds."""
     motion = api.read(path)
     if not isinstance(motion, Motion):
         raise BadInput(f"{path} holds point clouds; a motion is needed")
@@ -51,17 +51,17 @@ def read_motion(path: Path) -> Motion:
 def perform_clip(
     actor: Actor, data: Path, name: str, rate: float, start: float = 0.0, frames: int | None = None
 ) -> Performance | None:
-    """A CMU clip on the actor, as by `perform`; None if its file is not below the data folder."""
+    """A CMU clip on the actor, by `perform`; None if the data folder does not have it."""
     path = clip_path(data, name)
     return None if path is None else perform(actor, read_motion(path), rate, start, frames)
 
 
 def perform(actor: Actor, motion: Motion, rate: float, start: float = 0.0, frames: int | None = None) -> Performance:
-    """The actor in the poses of a motion, from `start` seconds on, at `rate` frames a second, at most `frames` frames.
+    """The actor in the poses of a motion: at most `frames` frames from `start` seconds on, at `rate` frames a second.
 
     Joints are matched by the names of CMU's ASF and BVH files; a joint that the motion lacks moves with its parent. The
-    path of the root is scaled to the length of the actor's legs. Raises BadInput if the motion has no skeleton and
-    rotations, or joints of other names.
+    path of the root is scaled to the length of the actor's legs. Raises BadInput if the motion has no skeleton or
+    rotations, or other joint names.
     """
     if motion.skeleton is None or motion.rotations is None:
         raise BadInput("an actor follows only motions with a skeleton and rotations: .bvh or .amc")
@@ -74,7 +74,7 @@ def perform(actor: Actor, motion: Motion, rate: float, start: float = 0.0, frame
     hips, thigh = matches.get("Hips"), matches.get("LeftUpLeg")
     if hips is None or thigh is None:
         raise BadInput(f"these joints are not those of CMU's skeletons: {', '.join(source.names)}")
-    own_frame = motion.source.get("format") in ("amc", "asf_amc")  # a point is the end of the bone that its joint turns
+    own_frame = motion.source.get("format") in ("amc", "asf_amc")  # a point is the end of its joint's bone
     rest = _rest_positions(source)
     turns = _actor_rotations(actor, source, _world_rotations(motion, sampled), matches, rest, own_frame)
     ankle = matches["LeftLeg" if own_frame else "LeftFoot"] or 0
@@ -105,7 +105,7 @@ def _rest_positions(skeleton: Skeleton) -> Floats:
 def _actor_rotations(
     actor: Actor, source: Skeleton, world: Floats, matches: dict[str, int | None], rest: Floats, own_frame: bool
 ) -> Floats:
-    """World rotations of the actor's joints, (frames, joints, 3, 3), with bones aligned to those of the source."""
+    """World rotations of the actor's joints, (frames, joints, 3, 3), with bones aligned to the source's."""
     turns = np.empty((len(world), len(actor.names), 3, 3))
     for joint, (name, parent) in enumerate(zip(actor.names, actor.parents, strict=True)):
         match = matches[name]
@@ -129,7 +129,7 @@ def _actor_rotations(
 
 
 def _matching_joint(name: str, index: dict[str, int]) -> int | None:
-    """Index of the joint that has this name or one of its other names; None if there is none."""
+    """Index of the joint with this name or one of its other names; None if there is none."""
     left = name.replace("Right", "Left").replace("RHip", "LHip")
     for candidate in (left, *OTHER_NAMES.get(left, ())):
         if left != name:

@@ -1,12 +1,12 @@
-"""Other coders of point clouds: those that a user could choose, and those of the paper's comparison.
+"""Rival coders of point clouds: alternatives for users, and coders of the paper's comparison.
 
     zlib                    float32 positions and colours, deflated                                    lossless
     draco                   Draco's kd-tree, positions of `knob` bits, and colours                     frame by frame
     yang-zlib, yang-jpeg    Yang et al. 2006, both schemes: maps of six views with lossless depth      frame by frame
     h264, h265, av1         maps of six views, depth and colour as one video each, and a mask          (see `video`)
 
-The last five code the maps of `maps`, whose pixels are about as many as a frame has points. All but zlib and yang-zlib
-need packages of the [bench] extra. A stream holds everything that its decoder needs.
+The last five code the maps of `maps`, which have about as many pixels as a frame has points. All except zlib and
+yang-zlib need packages of the [bench] extra. A stream contains everything that its decoder needs.
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ from .video import Video
 
 Depth = NDArray[np.uint16]
 DEPTH_STEP = 0.001
-"""Metres per step of depth maps that are coded without loss."""
+"""Step of losslessly coded depth maps, metres."""
 X265 = "log-level=none:pools=1:frame-threads=1:keyint=-1"
 
 
@@ -62,7 +62,7 @@ class CloudRival(Protocol):
 
 @dataclass(frozen=True)
 class Zlib:
-    """Raw positions by axis, then colours, deflated at the highest level."""
+    """Raw positions, axis by axis, then colours, deflated at the highest level."""
 
     name: str = "zlib"
     knobs: tuple[int, ...] = (9,)
@@ -92,7 +92,7 @@ class Zlib:
 
 @dataclass(frozen=True)
 class Draco:
-    """Draco at its best compression; positions of `knob` bits within the bounding box of each frame."""
+    """Draco at its best compression, with positions of `knob` bits within the bounding box of each frame."""
 
     name: str = "draco"
     knobs: tuple[int, ...] = (11, 9, 7)
@@ -122,8 +122,8 @@ class Draco:
 
 @dataclass(frozen=True)
 class YangZlib:
-    """Yang et al. (2006), first scheme: lossless depth, colours of `knob` bits per channel, no background; then zlib
-    over depth and colour together.
+    """Yang et al. (2006), first scheme: lossless depth, colours of `knob` bits per channel, no background; depth and
+    colour together in zlib.
     """
 
     name: str = "yang-zlib"
@@ -158,8 +158,8 @@ class YangZlib:
 
 @dataclass(frozen=True)
 class YangJpeg:
-    """Yang et al. (2006), second scheme: colour as motion JPEG of quality `knob`; lossless depth by run lengths and a
-    Huffman code (deflate with matches of distance one only).
+    """Yang et al. (2006), second scheme: colour as motion JPEG of quality `knob`; lossless depth with run lengths and a
+    Huffman code (deflate with distance-one matches only).
     """
 
     name: str = "yang-jpeg"
@@ -210,7 +210,7 @@ RIVALS: dict[str, CloudRival] = {
 
 
 def _maps_of(clouds: PointClouds, views: maps.Cameras) -> Iterator[tuple[Depth, Bytes]]:
-    """Depth in steps of DEPTH_STEP (0: no point) and colour of the maps of each frame."""
+    """Yields depth, in steps of DEPTH_STEP (0: no point), and colour of the maps of each frame."""
     for frame in range(len(clouds)):
         depth, colour = maps.forward(*splats.finite_points(clouds, frame), views)
         steps = np.rint(np.nan_to_num(depth) / DEPTH_STEP) + 32768
@@ -218,17 +218,17 @@ def _maps_of(clouds: PointClouds, views: maps.Cameras) -> Iterator[tuple[Depth, 
 
 
 def _metres(depth: Depth) -> Floats:
-    """Depth in metres, NaN where there is no point."""
+    """Depth in metres, NaN without a point."""
     return np.where(depth != 0, (depth.astype(float) - 32768) * DEPTH_STEP, np.nan)
 
 
 def _planes(depth: Depth) -> bytes:
-    """All high bytes, then all low bytes, which gives longer runs and matches."""
+    """Byte planes: all high bytes, then all low bytes, for longer runs and matches."""
     return (depth >> 8).astype(np.uint8).tobytes() + depth.astype(np.uint8).tobytes()
 
 
 def _from_planes(raw: bytes, views: maps.Cameras) -> tuple[Depth, int]:
-    """Depth maps, and the offset at which their bytes end."""
+    """Depth maps, and the offset of the end of their bytes."""
     shape = maps.VIEWS, views.rows, views.columns
     pixels = int(np.prod(shape))
     high, low = np.frombuffer(raw, np.uint8, 2 * pixels).reshape(2, *shape).astype(np.uint16)

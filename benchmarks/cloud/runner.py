@@ -1,11 +1,11 @@
-"""Runs coders of point clouds, ours and rivals, on synthetic sequences of people: `scripts/bench cloud`.
+"""Runs point cloud coders, ours and rivals, on synthetic sequences of people: `scripts/bench cloud`.
 
     scene ──► recorded PointClouds ──► encode ──► bytes ──► decode ──► compare with the original ──► CloudRecord
           └─► a second perfect sample of the same surface ───────────► compare with the original ──► its floor
 
-Ratios count all bytes. Ours are whole `.mocz` files; `ratio_1000` is the ratio that the same body model, header and
-index would give in a sequence of 1,000 frames. Coders get the original without normals; D2 uses the true normals where
-the sequence has them.
+Ratios count all bytes; ours are whole `.mocz` files. `ratio_1000` is the ratio for a sequence of 1,000 frames with the
+same body model, header and index. Coders get the original without normals; D2 uses the true normals if the sequence
+has them.
 """
 
 from __future__ import annotations
@@ -34,13 +34,13 @@ from .rivals import RIVALS, CloudRival
 POINTS = 10_000
 RATE = 15.0
 RESIDUALS = (0, 25, 100)
-"""Settings, in percent, of our codecs that have a residual."""
+"""Residual settings of our codecs, in percent."""
 CLIPS = ("01_01", "02_05", "03_03", "49_20", "118_30", "131_04", "salsa_09")
 
 
 @dataclass(frozen=True, eq=False)
 class Scene:
-    """A performance and how it is recorded."""
+    """A performance and its kind of recording."""
 
     label: str
     perform: Callable[[], sequences.Performance]
@@ -49,12 +49,12 @@ class Scene:
     points: int = POINTS
 
     def recorded(self, performance: sequences.Performance) -> PointClouds:
-        """The recording that is coded; with true normals unless a rig makes it."""
+        """The recording to code; with true normals unless a camera rig records it."""
         normals = self.rig is None
         return sequences.record(performance, self.points, noise_m=self.noise_m, rig=self.rig, normals=normals)
 
     def second_sample(self, performance: sequences.Performance) -> PointClouds:
-        """Other points of the same surface without noise; of a rig, what the same cameras see without errors."""
+        """A second sample of the same surface without noise; with a rig, from the same cameras without errors."""
         ideal = None
         if self.rig is not None:
             ideal = replace(self.rig, noise_m=0.0, calibration_m=0.0, flying=0.0, holes=0.0)
@@ -63,7 +63,7 @@ class Scene:
 
 @dataclass(frozen=True)
 class Coding:
-    """One coder at one setting. `once` returns how many of the stream's bytes do not grow with the frames."""
+    """One coder at one setting. once: returns the number of a stream's bytes that do not grow with the frames."""
 
     coder: str
     setting: str
@@ -86,7 +86,7 @@ def coders() -> tuple[str, ...]:
 
 
 def codings(names: Sequence[str], quick: bool = False) -> list[Coding]:
-    """The settings at which these coders are measured. quick: leave out the first setting of rivals with three."""
+    """The settings of these coders to measure. quick: without the first setting of rivals with three."""
     result = list[Coding]()
     for name in names:
         if name in RIVALS:
@@ -117,7 +117,7 @@ def rival_coding(rival: CloudRival, knob: int) -> Coding:
 
 
 def our_coding(name: str, settings: dict[str, Any], with_skeleton: bool = False) -> Coding:
-    """One of our codecs. with_skeleton: it gets the first pose of the true skeleton instead of fitting one."""
+    """One of our codecs. with_skeleton: it gets the true first pose instead of fitting one."""
     words = [f"{key} {value:g}{' %' if key == 'residual' else ''}" for key, value in settings.items()]
 
     def encode(clouds: PointClouds, performance: sequences.Performance) -> bytes:
@@ -137,13 +137,13 @@ def our_coding(name: str, settings: dict[str, Any], with_skeleton: bool = False)
 
 
 def once_bytes(blob: bytes) -> int:
-    """The bytes of a `.mocz` file that do not grow with the number of frames: all but its chunks."""
+    """Bytes of a `.mocz` file that do not grow with the number of frames: all except its chunks."""
     with api.open(blob) as file:
         return len(blob) - sum(len(chunk.payload) for chunk in file.encoded.chunks)
 
 
 def scenes(quick: bool) -> list[Scene]:
-    """The sequences: jumping jacks; unless `quick` also with noise, with a rig, turning, and CMU's clips."""
+    """The sequences: jumping jacks; unless `quick`, also with noise and with a rig, turning, and CMU's clips."""
     actor = makehuman.find()
     frames = 20 if quick else 60
 
@@ -166,7 +166,7 @@ def scenes(quick: bool) -> list[Scene]:
 
 
 def run(chosen: Sequence[Scene], work: Sequence[Coding], measured_frames: int = 6) -> Iterator[Measured]:
-    """Every coding of every scene, measured on `measured_frames` evenly spaced frames."""
+    """Yields every coding of every scene, measured on `measured_frames` evenly spaced frames."""
     for scene in chosen:
         performance = scene.perform()
         original = scene.recorded(performance)
@@ -190,10 +190,10 @@ def measure(
     original: PointClouds,
     frames: Sequence[int],
 ) -> PointClouds | None:
-    """Encode, decode and compare these frames; write the results into the record and return the decoded clouds.
+    """Encode, decode and compare these frames; write the results to the record and return the decoded clouds.
 
-    If the coder fails or is not installed, the reason becomes the record's `problem`. Unexpected exceptions of our own
-    codecs are raised: they are bugs.
+    If the coder fails or is not installed, the record's `problem` has the reason. Unexpected exceptions of our own
+    codecs propagate, since they are bugs.
     """
     record.raw_bytes, record.counted = original.raw_bytes, coding.counted
     try:
@@ -224,5 +224,5 @@ def measure(
 
 
 def two_sides(clouds: PointClouds, frame: int, like: PointClouds) -> Bytes:
-    """Images of a frame from two opposite sides, one above the other, framed as in `like`."""
+    """Images of a frame from two opposite sides, one above the other, with the view of `like`."""
     return np.concatenate(splats.views(clouds, frame, like)[1::3])

@@ -1,9 +1,9 @@
-"""`scripts/bench cloud-speed`: how long point clouds within a bound take, by the length of the recording.
+"""`scripts/bench cloud-speed`: speed of point clouds within a bound, by the length of the recording.
 
-    jumping jacks, two lengths ─encode, decode, one thread─► seconds ─► frames a second, and seconds spent once
+    jumping jacks, two lengths ─encode, decode, one thread─► seconds ─► frames a second, and constant seconds
 
-A body's model is made, and its first pose found, once for a recording, so each frame of a short recording takes longer.
-Times are those of the processor.
+A recording needs its body model and first pose once, so a frame of a short recording takes longer. Times are processor
+times.
 """
 
 from __future__ import annotations
@@ -31,18 +31,18 @@ from .points import D1_PER_BOUND, RATE
 
 @dataclass(frozen=True)
 class Case:
-    """Recordings of the same kind, of two lengths."""
+    """Recordings of one kind, in two lengths."""
 
     label: str
     points: int
     frames: tuple[int, int]
     coloured: bool
     bound_m: float | None
-    """None: bodies and a quarter of the residual in their surface."""
+    """None: body surfaces with residual 25."""
 
 
 BOUND_M = 0.002 / D1_PER_BOUND[2.0]
-"""For a D1 of 2 mm, of 10,000 points."""
+"""Gives a D1 of 2 mm for 10,000 points."""
 CASES = (
     Case("10,000 points", 10_000, (60, 240), False, BOUND_M),
     Case("10,000 points, colours", 10_000, (60, 240), True, BOUND_M),
@@ -52,7 +52,7 @@ CASES = (
 
 
 def measure(case: Case, frames: int) -> dict[str, Any]:
-    """Seconds and bytes of one recording; the first pose is found without a skeleton."""
+    """Seconds and bytes of one recording, with a first pose found without a skeleton."""
     performance = sequences.jumping_jacks(makehuman.find(), frames, RATE)
     clouds = sequences.record(performance, case.points, seed=1)
     if not case.coloured:
@@ -68,7 +68,7 @@ def measure(case: Case, frames: int) -> dict[str, Any]:
 
 
 def frames_a_second(short: dict[str, Any], long: dict[str, Any], way: str) -> list[str]:
-    """Of the short and the longer recording and of a further frame, and the seconds that a recording costs once."""
+    """Table cells: frames a second of the short and the long recording and of further frames; constant seconds."""
     further_s = (long[way] - short[way]) / (long["frames"] - short["frames"])
     once_s = max(0.0, short[way] - short["frames"] * further_s)
     return [
@@ -80,7 +80,7 @@ def frames_a_second(short: dict[str, Any], long: dict[str, Any], way: str) -> li
 
 
 def page(results: dict[str, Any]) -> str:
-    """The table of docs/performance.md."""
+    """The page with the table of docs/performance.md."""
     head = ["clouds", "frames", "bytes a frame"]
     for way in ("encode", "decode"):
         head += [f"{way}: short", "long", "a further frame", "once"]
@@ -112,7 +112,7 @@ def write_tables(folder: Path) -> Path:
 
 @click.command("cloud-speed")
 @click.option("-o", "--output", default="docs/results", show_default=True, type=click.Path(path_type=Path))
-@click.option("--frames", type=click.IntRange(2), help="Most frames of a recording, for a quick look.")
+@click.option("--frames", type=click.IntRange(2), help="Limit of the frames of a recording, for a quick look.")
 def command(output: Path, frames: int | None) -> None:
     """Time encoding and decoding of point clouds by the length of the recording; write cloud_speed.json and .md."""
     output.mkdir(parents=True, exist_ok=True)

@@ -1,4 +1,4 @@
-"""The byte stream of the rivals: a header and one or more blobs per frame."""
+"""Byte stream of the rivals: a header, and one or more blobs per frame."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ CAMERAS = struct.Struct("<6f")
 
 
 class Header(NamedTuple):
-    """Frame rate, vertical axis, whether there are colours, number of frames, and bytes that a rival adds."""
+    """Frame rate, vertical axis, whether there are colours, number of frames, and extra bytes of a rival."""
 
     rate: float
     up: str
@@ -37,7 +37,7 @@ def pack(clouds: PointClouds, blobs: Sequence[bytes], extra: bytes = b"") -> byt
 
 
 def unpack(data: bytes) -> tuple[Header, list[bytes]]:
-    """The inverse of `pack`."""
+    """Reads the output of `pack`."""
     rate, kind, frames = HEADER.unpack_from(data)
     (extra, count), start = varint.read(data, 2, HEADER.size)
     sizes, start = varint.read(data, count, start)

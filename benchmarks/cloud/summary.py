@@ -1,4 +1,4 @@
-"""One page about point clouds: requirements, the paper's results and ours, from stored results.
+"""A page about point clouds with requirements, the paper's results and ours, from stored results.
 
 cloud_grid.json, cloud_long.json, lien2006.json, first_poses.json ──► cloud_summary.md
 """
@@ -21,7 +21,7 @@ from .cited import GPCC_BYTES
 
 
 def markdown(folder: Path) -> str:
-    """The page. Results that are not in the folder are shown as dashes."""
+    """The page; dashes for missing results."""
     stored = {name: read_json(folder / f"{name}.json") for name in ("cloud_long", "lien2006", "first_poses")}
     results = grid.load(folder / "cloud_grid.json")
     runs = (stored["cloud_long"] or {"runs": []})["runs"]
@@ -60,7 +60,7 @@ def markdown(folder: Path) -> str:
 
 
 def _gpcc_row(run: dict[str, Any]) -> list[str]:
-    """A run beside the bytes that G-PCC needs for the same D1 and D2."""
+    """Table cells: a run, and the bytes that G-PCC needs for the same D1 and D2."""
     size, d1, d2 = run["bytes"] / run["frames"], run["quality"]["d1_m"] * 100, run["quality"]["d2_m"] * 100
     return [
         _name(run), f"{size:,.0f}", f"{d1:.2f}", _gpcc_factor(size, d1, 1), f"{d2:.2f}", _gpcc_factor(size, d2, 2),
@@ -68,7 +68,7 @@ def _gpcc_row(run: dict[str, Any]) -> list[str]:
 
 
 def _long_row(run: dict[str, Any]) -> list[str]:
-    """Bytes, ratios, errors with their floor, and speed of a run."""
+    """Table cells: bytes, ratios, errors with their floor, and speed of a run."""
     quality, floor = run["quality"], run["floor"]
     return [
         _name(run), f"{run['bytes']:,}", f"{run['once_bytes']:,}", f"{run['ratio']:,.0f}",
@@ -125,12 +125,12 @@ def table(
 
 
 def _required(rows: Sequence[grid.GridResult]) -> list[grid.GridResult]:
-    """Results under the conditions that the requirements name."""
+    """Results under the conditions of the requirements."""
     return [r for r in rows if r.rate == 15 and grid.is_mild(r)]
 
 
 def _span(values: Sequence[float], digits: int = 0) -> str:
-    """Smallest and largest value; a dash for none."""
+    """Smallest and largest value; a dash without values."""
     if not values:
         return "–"
     low, high = f"{min(values):.{digits}f}", f"{max(values):.{digits}f}"
@@ -138,7 +138,7 @@ def _span(values: Sequence[float], digits: int = 0) -> str:
 
 
 def _errors(rows: Sequence[grid.GridResult]) -> str:
-    """Range of the clips' mean errors, range of their largest errors, and how many clips meet both requirements."""
+    """Ranges of the clips' mean errors and of their largest errors, and number of clips that meet both requirements."""
     if not rows:
         return "–"
     clips = [[r for r in rows if r.clip == clip] for clip in dict.fromkeys(r.clip for r in rows)]
@@ -167,7 +167,7 @@ def _against_gpcc(run: dict[str, Any] | None) -> str:
 
 
 def _gpcc_factor(size: float, error: float, column: int) -> str:
-    """G-PCC's bytes over `size` at an error in centimetres, of D1 (column 1) or D2 (column 2)."""
+    """G-PCC's bytes over `size` at an error in centimetres: D1 (column 1) or D2 (column 2)."""
     points = np.log([[p[column], p[0]] for p in GPCC_BYTES])
     i = int(np.clip(np.searchsorted(points[:, 0], np.log(error)), 1, len(points) - 1))
     (x0, y0), (x1, y1) = points[i - 1], points[i]

@@ -1,9 +1,9 @@
-"""How closely and how fast bodycast tracks a body: eight motions, by points, noise, views and frames a second.
+"""Tracking errors and speed of bodycast: eight motions, by points, noise, views and frames a second.
 
-A result holds joint errors in centimetres, the frames whose worst joint is off by more than 10 cm and the longest run
-of them, and frames per second of processor time from raw points to a pose. A second measurement turns a limb away and
-counts the frames until it is tracked again. Times are those of the compiled kernels if they are built; the speed of
-NumPy alone is measured as well.
+A result has joint errors in centimetres, the number of lost frames (worst joint off by more than 10 cm) and their
+longest run, and frames per second of processor time from raw points to a pose. A second measurement turns a limb away
+and counts the frames until it is tracked again. Times use the compiled kernels if they are built; the speed of NumPy
+alone is also measured.
 """
 
 from __future__ import annotations
@@ -33,7 +33,7 @@ STARTS = {
     "jumping jacks": 0.0, "01_01": 4.0, "02_05": 4.0, "03_03": 4.0, "49_20": 1.0, "118_30": 1.0, "131_04": 2.0,
     "salsa_09": 2.0,
 }  # fmt: skip
-"""Motions, and the second at which each starts."""
+"""Motions, and the start of each, seconds."""
 LOST_M = 0.10
 """A frame is lost if a joint is off by more than this."""
 RATE = 15.0
@@ -42,7 +42,7 @@ TRACKED_POINTS = 2500
 
 
 def perform(actor: Actor, data: Path, name: str, frames: int, rate: float) -> Performance | None:
-    """A motion of STARTS on the actor; None if its recording is not there."""
+    """A motion of STARTS on the actor; None if its recording does not exist."""
     if name == "jumping jacks":
         return sequences.jumping_jacks(actor, frames, rate)
     return retarget.perform_clip(actor, data, name, rate, STARTS[name], frames)
@@ -55,16 +55,16 @@ CONDITIONS: dict[str, dict[str, Any]] = {
     "3 views": {"views": 3}, "1 view": {"views": 1}, "no colours": {"coloured": False}, "30 frames/s": {"rate": 30.0},
     "7.5 frames/s": {"rate": 7.5},
 }  # fmt: skip
-"""Ways of recording, as differences from 10,000 points without noise at 15 frames/s."""
+"""Kinds of recording, as differences from 10,000 points without noise at 15 frames/s."""
 FOR_ALL_MOTIONS = tuple(CONDITIONS)[:3]
-"""Conditions that all motions are measured under."""
+"""Conditions measured on all motions."""
 FAST = ("02_04", "02_05", "02_06", "02_07", "02_10", "49_18", "49_20", "131_03", "131_04", "16_02", "118_14")
 """Jumps, punches, a sword, acrobatics and dance; `run_fast` samples them at FAST_RATE."""
 FAST_RATE, FAST_KEEP = 7.5, 0.25
 FAULT_MOTIONS = ("jumping jacks", "131_04")
-"""Motions that are measured with faults of cameras."""
+"""Motions measured with faults of cameras."""
 IN_ALL_CONDITIONS = ("01_01", "131_04")
-"""Motions that are measured under all conditions."""
+"""Motions measured under all conditions."""
 POINTS = 10_000
 FOUR = sequences.Rig(cameras=4)
 FAULTS: dict[str, dict[str, Any]] = {
@@ -77,7 +77,7 @@ FAULTS: dict[str, dict[str, Any]] = {
 }  # fmt: skip
 """Faults of real cameras, as options of `sequences.record`."""
 TURN_AWAY_RAD = 1.8
-"""Angle by which both long bones of a limb are turned away before its recovery is measured."""
+"""Rotation of both long bones of a limb before its recovery is measured."""
 
 
 def record_and_track(
@@ -105,7 +105,7 @@ def track(act: Performance, clouds: PointClouds) -> dict[str, Any]:
 
 
 def recovery(act: Performance, at: tuple[int, ...] = (10, 25, 40), most: int = 20) -> list[int]:
-    """Frames until no joint is off by more than 10 cm after a limb has been turned away; most + 1 if it takes longer.
+    """Frames until no joint is off by more than 10 cm, after a limb was turned away; most + 1 if it takes longer.
 
     One value for each start frame of `at` and each limb.
     """
@@ -139,7 +139,7 @@ def recovery(act: Performance, at: tuple[int, ...] = (10, 25, 40), most: int = 2
 def run(
     data: Path = datasets.SHARED, frames: int = 60, conditions: dict[str, dict[str, Any]] = CONDITIONS
 ) -> dict[str, Any]:
-    """Errors and speed of all motions, recovery of limbs that were turned away, and the speed of NumPy alone."""
+    """Errors and speed of all motions, recovery of limbs, and the speed of NumPy alone."""
     actor = makehuman.find()
     results: dict[str, Any] = {
         "command": "scripts/bench tracking", "machine": machine_description(), "actor": actor.name,
@@ -166,7 +166,7 @@ def run(
 
 
 def run_fast(data: Path = datasets.SHARED, frames: int = 200) -> dict[str, Any]:
-    """Errors of the tracker on fast motion at FAST_RATE, of two recordings of every clip."""
+    """Errors of the tracker on fast motion at FAST_RATE, for two recordings of every clip."""
     actor = makehuman.find()
     results: dict[str, Any] = {
         "command": "scripts/bench tracking --fast", "machine": machine_description(), "actor": actor.name,
@@ -244,7 +244,7 @@ def faults_page(results: dict[str, Any]) -> str:
 @click.option("--faults", is_flag=True, help="Measure faults of real cameras instead.")
 @click.option("--fast", is_flag=True, help="Measure fast motion at 7.5 frames/s instead.")
 def command(output: Path, data: Path, frames: int, faults: bool, fast: bool) -> None:
-    """Track a body through eight motions by points, noise, views and frame rate; recover limbs that are lost.
+    """Track a body through eight motions by points, noise, views and frame rate; recover lost limbs.
 
     Writes bodycast_tracking.json; with --faults or --fast bodycast_faults.json or bodycast_fast.json,
     and a table beside it.

@@ -1,4 +1,4 @@
-"""Point clouds through video codecs: depth and colour maps of six views as two videos, with a mask beside them."""
+"""Point clouds in video codecs: depth and colour maps of six views as two videos, and a mask."""
 
 from __future__ import annotations
 
@@ -28,11 +28,11 @@ Planes = tuple[NDArray[Any], ...]
 class Video:
     """Depth and colour maps of six views as two videos at constant quality; a picture shows all six views.
 
-    knob: the codec's quantiser (crf) for colour. The one for depth is lower by `depth_finer`, chosen by trial: bytes
-    lower D1 and improve the rendered views more in depth than in colour. Depth is the luma of 10-bit pictures over the
-    depth range of the scene (a step is about 2 mm) with constant chroma; colour is 8-bit 4:2:0 of full range. Both are
-    filled smoothly beyond the silhouette. A lossless mask, one bit per pixel (LZMA), marks the pixels of the person.
-    Planes are written into the frames directly: a conversion between pixel formats would reduce depth to video's
+    knob: the codec's quantiser (crf) for colour. The quantiser for depth is lower by `depth_finer`, chosen by trial:
+    bytes reduce D1 and improve the rendered views more in depth than in colour. Depth is the luma of 10-bit pictures
+    over the depth range of the scene (a step is about 2 mm) with constant chroma; colour is full-range 8-bit 4:2:0.
+    Both are filled smoothly beyond the silhouette. A lossless mask, one bit per pixel (LZMA), marks the person's
+    pixels. Planes are written directly to the frames: a conversion of pixel formats would reduce depth to video's
     limited range. Only the first picture of each video is an intra picture.
     """
 
@@ -52,7 +52,7 @@ class Video:
         for frame in range(len(clouds)):
             depth, colour = maps.forward(*splats.finite_points(clouds, frame), views)
             mask, flat = maps.atlas(np.isfinite(depth)), maps.atlas(depth)
-            masks.append(np.packbits(mask.T))  # column by column: runs are longest along the body
+            masks.append(np.packbits(mask.T))  # column by column, since runs are longest along the body
             levels = np.clip(np.rint((maps.padded(flat[..., None], mask)[..., 0] + views.across) / reach), 0, 1023)
             flat_chroma = np.full((len(levels) // 2, len(levels[0]) // 2), 512, np.uint16)
             depths.append((levels.astype(np.uint16), flat_chroma, flat_chroma))
@@ -79,9 +79,9 @@ class Video:
         return stream.clouds_from(header, frames)
 
     def encode_video(self, pictures: Sequence[Planes], layout: str, crf: int, rate: float) -> bytes:
-        """Encode pictures; returns the packets, each after its length, without a file format."""
+        """Encode pictures; returns the packets, each preceded by its length, without a file format."""
         av = needs("av")
-        os.environ.setdefault("SVT_LOG", "1")  # SVT-AV1 writes its settings on standard error otherwise
+        os.environ.setdefault("SVT_LOG", "1")  # otherwise SVT-AV1 writes its settings to standard error
         codec = av.CodecContext.create(self.encoder, "w")
         codec.height, codec.width = pictures[0][0].shape
         codec.pix_fmt = layout
@@ -135,7 +135,7 @@ def to_video(rgb: Floats) -> Planes:
 
 
 def from_video(planes: Planes) -> Bytes:
-    """The inverse of `to_video`, (rows, columns, 3)."""
+    """RGB (rows, columns, 3) from the planes of `to_video`."""
     luma = planes[0].astype(float)
     cb, cr = (p.repeat(2, axis=0).repeat(2, axis=1).astype(float) - 128 for p in planes[1:])
     red, blue = luma + 1.402 * cr, luma + 1.772 * cb

@@ -1,4 +1,4 @@
-"""The charts of the motion benchmark, from its records."""
+"""Charts of the motion benchmark, from its records."""
 
 from __future__ import annotations
 
@@ -70,9 +70,9 @@ def colour_of(name: str) -> Any:
 
 
 def draw_curves(axes: Any, records: Sequence[Record], target: str) -> bool:
-    """Ratio against the error of one kind of target, a curve per coder; whether there are any.
+    """Draws ratio against the error of one kind of target, a curve per coder. Returns whether there are any.
 
-    The legend lists the curves from the top. Dashes and marks tell apart curves that lie on each other.
+    The legend lists the curves from top to bottom. Dashes and marks distinguish overlapping curves.
     """
     curves: list[tuple[str, list[tuple[float, float]]]] = []
     for name in coders(successful(records)):
@@ -103,7 +103,7 @@ MARKS = ("o", "s", "^", "D", "v")
 
 
 def draw_mean(figure: Any, records: Sequence[Record]) -> bool:
-    """Ratio against mean error, with printed results of other systems."""
+    """Draws ratio against mean error, with printed results of other systems."""
     axes = figure.subplots()
     drawn = draw_curves(axes, records, MEAN)
     systems = sorted({p.system for p in PUBLISHED})
@@ -122,7 +122,7 @@ def draw_mean(figure: Any, records: Sequence[Record]) -> bool:
 
 
 def draw_hard(figure: Any, records: Sequence[Record]) -> bool:
-    """Ratio against the hard maximum."""
+    """Draws ratio against the hard maximum."""
     axes = figure.subplots()
     drawn = draw_curves(axes, records, HARD)
     axes.set_xlabel("hard maximum, cm")
@@ -132,7 +132,7 @@ def draw_hard(figure: Any, records: Sequence[Record]) -> bool:
 
 
 def draw_parts(figure: Any, records: Sequence[Record]) -> bool:
-    """Shares of the parts of our files."""
+    """Draws shares of the parts of our files."""
     rows = [(n, t, m) for n in coders(successful(records)) if n in OURS for t, m in targets_of(records)]
     rows = [row for row in rows if cell(records, *row)]
     if not rows:
@@ -157,7 +157,7 @@ def draw_parts(figure: Any, records: Sequence[Record]) -> bool:
 
 
 def draw_speed(figure: Any, records: Sequence[Record]) -> bool:
-    """Ratio against frames a second, at a mean error of 0.3 cm."""
+    """Draws ratio against frames a second, at a mean error of 0.3 cm."""
     names = [n for n in coders(successful(records)) if cell(records, n, MEAN, 0.003)]
     if not names:
         return False
@@ -176,7 +176,7 @@ def draw_speed(figure: Any, records: Sequence[Record]) -> bool:
 
 
 def draw_figure(figure: Any, records: Sequence[Record]) -> bool:
-    """Mean error of each joint on a stick figure of the first recording with a skeleton."""
+    """Draws the mean error of each joint on a stick figure of the first recording with a skeleton."""
     one = next((r for r in successful(records) if r.figure.get("parents")), None)
     if one is None:
         return False

@@ -29,15 +29,15 @@ QUICK = ("tempo", "hou2014", "liu2006", "lossless", "sz3", "pcodec")
 @click.option("--quick", is_flag=True, help="A few recordings and coders: under two minutes.")
 @click.option("--codec", "chosen", multiple=True, metavar="NAME", help="Only this coder; may be repeated.")
 @click.option("--workers", type=click.IntRange(1), help="Number of processes. Default: one per core.")
-@click.option("--again", is_flag=True, help="Measure again what has a result in the folder.")
+@click.option("--again", is_flag=True, help="Also measure tasks with a result in the folder.")
 def command(
     output: Path, data: tuple[str, ...], quick: bool, chosen: tuple[str, ...], workers: int | None, again: bool
 ) -> None:
     """Run our codecs and rivals over recordings to equal errors.
 
     Writes results.json, machine.json, report.html, report.md, summary.md and curves.png. Without --data: the
-    development recordings if they are there, the one inside the package, and synthetic motion. An interrupted run
-    continues where it stopped. Recordings that cannot be read are listed in the report with the reason.
+    development recordings if they exist, the recording inside the package, and synthetic motion. An interrupted run
+    continues where it stopped. The report lists unreadable recordings with the reason.
     """
     coders = coders_of(chosen, quick)
     own = ("package",) if quick else ("package", "synthetic")
@@ -76,7 +76,7 @@ def coders_of(chosen: tuple[str, ...], quick: bool) -> list[str]:
 
 
 def train_priors(recordings: Sequence[datasets.Recording], folder: Path) -> Path | None:
-    """Train the priors that the folds of these recordings need and the folder lacks; None without training data."""
+    """Train the missing priors for the folds of these recordings; None without training data."""
     if not folds.PEOPLE.is_dir():
         return None
     needed = sorted({fold for recording in recordings if (fold := folds.fold_of(recording)) is not None})

@@ -1,4 +1,4 @@
-"""Printed results of systems that cannot be run here; the charts show them as hollow marks.
+"""Printed results of systems that are not available here; the charts show them as hollow marks.
 
 Ratios are against float32 positions unless the note says otherwise; errors are mean Euclidean distances in metres.
 """
@@ -10,7 +10,7 @@ from dataclasses import dataclass
 
 @dataclass(frozen=True)
 class Published:
-    """One printed result: system, sequence, ratio at a mean error, where it is printed, and a note."""
+    """One printed result: system, sequence, ratio at a mean error, source, and a note."""
 
     system: str
     sequence: str

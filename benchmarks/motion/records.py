@@ -22,8 +22,8 @@ LOSSLESS = ("lossless", 0.0)
 class Record:
     """The result of one coder at one target on one recording. Errors in metres, times in seconds.
 
-    content: hash of the positions; figure: a stick figure with the mean error of each joint, or empty; problem: why
-    there is no result.
+    content: hash of the positions; figure: a stick figure with the mean error of each joint, or empty; problem: reason
+    for no result.
     """
 
     codec: str
@@ -56,14 +56,14 @@ class Record:
 
 
 def save(path: Path, records: Sequence[Record]) -> None:
-    """Write records as a JSON list with a line for each, so that a changed result is one changed line."""
+    """Write records as a JSON list, one line each, so that a changed result is one changed line."""
     ordered = sorted(records, key=lambda r: (r.file, not r.ours, r.codec, r.target, r.target_m))
     lines = [json.dumps(rounded(asdict(record)), ensure_ascii=False) for record in ordered]
     formats.replace_whole(path, ("[\n" + ",\n".join(lines) + "\n]\n").encode())
 
 
 def load(path: Path) -> list[Record]:
-    """The records of a JSON file; empty if there is no file."""
+    """The records of a JSON file; empty without a file."""
     if not path.is_file():
         return []
     return [Record(**record) for record in json.loads(path.read_text())]

@@ -1,4 +1,4 @@
-"""The report of the motion benchmark: one self-contained HTML page, Markdown, and the README's tables.
+"""Report of the motion benchmark: one self-contained HTML page, Markdown, and the README's tables.
 
 records ──► tables ──► report.md, summary.md
         └─► charts ──► report.html, curves.png
@@ -35,7 +35,7 @@ def markdown(records: Sequence[Record], machine: dict[str, Any]) -> str:
 
 
 def summary(records: Sequence[Record], machine: dict[str, Any]) -> str:
-    """The tables of the README: ratios and bytes saved, and how they were measured."""
+    """The tables of the README: ratios and bytes saved, with notes on the measurement."""
     people = sorted({r.settings["prior"] for r in successful(records) if "prior" in r.settings})
     unseen = (
         "For each person, tempo used a prior trained without that person (leave-subjects-out)."

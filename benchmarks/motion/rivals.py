@@ -1,10 +1,10 @@
-"""Other coders of motion, each in its best layout: positions (frames, points, 3) float32 ⇄ bytes at one knob.
+"""Rival coders of motion, each in its best layout: positions (frames, points, 3) float32 ⇄ bytes at one knob.
 
     knob      error bound or quantisation step in metres: a larger one gives fewer bytes and more error
     layout    time fastest, one row per coordinate; SZ3 and pcodec get it as one 1-D array, image codecs as a picture
 
-The methods that the papers compare themselves with (`mocodec.codecs.baselines`) are among them. Most others need
-packages of the [bench] extra. `knob_of` estimates the knob for a mean error: the start of the search in `runner`.
+They include the rivals of the papers (`mocodec.codecs.baselines`). Most others need packages of the [bench] extra.
+`knob_of` estimates the knob for a mean error, where the search in `runner` starts.
 """
 
 from __future__ import annotations
@@ -49,7 +49,7 @@ def by_row(positions: Array) -> Array:
 
 
 def by_frame(rows: Array, shape: tuple[int, int, int]) -> Array:
-    """The inverse of `by_row`."""
+    """(points × 3, frames) → (frames, points, 3): the inverse of `by_row`."""
     return np.asarray(rows, np.float64).reshape(shape[1] * 3, shape[0]).T.reshape(shape)
 
 
@@ -67,8 +67,7 @@ def from_axes(values: Array, shape: tuple[int, int, int]) -> Array:
 class Sz3:
     """SZ3's interpolation predictor with an absolute bound per coordinate, on one 1-D array.
 
-    Time is fastest, then points, then axes. With the axes of each point together, short recordings are up to a sixth
-    larger.
+    Time is fastest, then points, then axes. With axes before points, short recordings are up to a sixth larger.
     """
 
     name: str = "sz3"
@@ -95,7 +94,7 @@ class Sz3:
 
 @dataclass(frozen=True)
 class Zfp:
-    """zfp with a fixed accuracy, on the rows × frames matrix."""
+    """zfp with fixed accuracy, on the rows × frames matrix."""
 
     name: str = "zfp"
 
@@ -144,7 +143,7 @@ class Sperr:
 
 
 def to_grid(positions: Array, step: float) -> NDArray[np.int32]:
-    """(points × 3, frames) integers: positions in steps."""
+    """Positions in steps, (points × 3, frames) integers."""
     return np.round(by_row(positions).astype(np.float64) / step).astype(np.int32)
 
 
@@ -154,18 +153,18 @@ def from_grid(integers: Array, step: float, shape: tuple[int, int, int]) -> Arra
 
 
 def with_step(step: float, data: bytes) -> bytes:
-    """The step as float64, then the data."""
+    """Prepends the step as float64 to the data."""
     return np.float64(step).tobytes() + data
 
 
 def step_of(data: bytes) -> tuple[float, bytes]:
-    """The inverse of `with_step`."""
+    """Step and data: the inverse of `with_step`."""
     return float(np.frombuffer(data[:8], np.float64)[0]), data[8:]
 
 
 @dataclass(frozen=True)
 class QuantisePcodec:
-    """Positions rounded to a step, then pcodec on the integers; pcodec chooses the order of differences."""
+    """Positions rounded to a step, then pcodec, which chooses the order of differences."""
 
     name: str = "quantise + pcodec"
 
@@ -212,9 +211,9 @@ class QuantiseDeltaZstd:
 
 @dataclass(frozen=True)
 class JpegXl:
-    """The rows × frames matrix as a 16-bit grey picture in JPEG XL, scaled from its least to its greatest value.
+    """The rows × frames matrix as a 16-bit grey picture in JPEG XL, scaled to its range of values.
 
-    The knob is divided by this range to give JPEG XL's distance.
+    JPEG XL's distance is the knob, divided by this range.
     """
 
     name: str = "jpeg xl"
@@ -241,7 +240,7 @@ class JpegXl:
 
 @dataclass(frozen=True)
 class Npz:
-    """float32 through `numpy.savez_compressed`: lossless, the usual way to store arrays."""
+    """float32 in `numpy.savez_compressed`: lossless, the usual way to store arrays."""
 
     name: str = "npz"
     lossless: ClassVar[bool] = True
@@ -263,7 +262,7 @@ class Npz:
 
 @dataclass(frozen=True)
 class PcodecLossless:
-    """float32 through lossless pcodec, one 1-D array, time fastest."""
+    """float32 in lossless pcodec, as one 1-D array, time fastest."""
 
     name: str = "pcodec"
     lossless: ClassVar[bool] = True

@@ -1,10 +1,10 @@
-"""Runs coders on recordings to equal errors, ours and rivals: `scripts/bench eval`.
+"""Runs coders, ours and rivals, on recordings to equal errors: `scripts/bench eval`.
 
     recording ──► encode at a knob ──► decode ──► measure ──► change the knob until the target is met ──► Record
 
-A target is a mean error or a hard maximum, in metres. Our codecs take it as a setting (`mean_error=`, `max_error=`);
-the knob of a rival is searched here. Bytes are those of the whole file: of ours the `.mocz` without the recording's
-extras, of rivals the stream and the deflated gap mask.
+A target is a mean error or a hard maximum, in metres. Our codecs have settings for it (`mean_error=`, `max_error=`);
+for rivals, this module searches the knob. Bytes are those of the whole file: ours is the `.mocz` without the
+recording's extras, a rival's is the stream and the deflated gap mask.
 """
 
 from __future__ import annotations
@@ -39,18 +39,18 @@ MEAN_WITHIN = 0.01
 
 @dataclass(frozen=True)
 class Task:
-    """One coder on one recording, for all its targets."""
+    """One coder on one recording, at all targets."""
 
     coder: str
     recording: datasets.Recording
     targets: tuple[tuple[str, float], ...] = TARGETS
     prior: Path | None = None
-    """For tempo: the folder of the priors trained without this recording's person."""
+    """Folder of the priors trained without this recording's person, for tempo."""
 
 
 @dataclass(frozen=True)
 class Outcome:
-    """One encoding and decoding: bytes in all and by part, decoded positions, times and settings."""
+    """One encoding and decoding: total bytes and bytes by part, decoded positions, times and settings."""
 
     data_bytes: int
     positions: Floats
@@ -73,7 +73,7 @@ def run_codec(codec: str, motion: Motion, **settings: Any) -> Outcome:
 
 
 def bytes_by_part(file: api.File) -> dict[str, int]:
-    """Bytes of the container's parts; for liu2006 and hou2014, those of the codec are split further."""
+    """Bytes of the container's parts; for liu2006 and hou2014, also of the codec's parts."""
     parts = {name: size for name, size in file.info["bytes_by_part"].items() if size}
     if file.encoded.codec == "liu2006":
         own = statistics(file.encoded).bytes_by_part
@@ -87,7 +87,7 @@ def bytes_by_part(file: api.File) -> dict[str, int]:
 
 
 def run_rival(rival: rivals.Rival, motion: Motion, knob: float) -> Outcome:
-    """Encode and decode with a rival; the gap mask is deflated and counted."""
+    """Encode and decode with a rival; bytes include the deflated gap mask."""
     positions, mask = datasets.filled(motion)
     started = time.perf_counter()
     data = rival.encode(positions, knob)
@@ -100,15 +100,15 @@ def run_rival(rival: rivals.Rival, motion: Motion, knob: float) -> Outcome:
 
 
 def measured(target: str, motion: Motion, outcome: Outcome) -> float:
-    """The error that this kind of target limits: mean or largest distance, metres."""
+    """The error for this kind of target: mean or largest distance, metres."""
     error = metrics.distances(motion.positions, outcome.positions)
     return float(np.nanmean(error) if target == "mean_error" else np.nanmax(error))
 
 
 def search(run: Callable[[float], Outcome], motion: Motion, target: str, wanted: float, guess: float) -> Outcome | None:
-    """Search the knob whose error meets a target: within 1 % of a mean; below a hard maximum, with the fewest bytes.
+    """Search the knob for a target: an error within 1 % of a mean; or below a hard maximum, with the fewest bytes.
 
-    Bracketed secant steps on log error against log knob. None if no step kept the hard maximum.
+    Bracketed secant steps on log error against log knob. None if no step keeps the hard maximum.
     """
     low: tuple[float, float] | None = None  # knob and error below the target
     high: tuple[float, float] | None = None
@@ -187,7 +187,7 @@ def encode_to_target(
 
 
 def fill(record: Record, motion: Motion, outcome: Outcome) -> None:
-    """Write the measurements of an outcome into its record."""
+    """Write the measurements of an outcome to its record."""
     decoded = replace(motion, positions=outcome.positions)
     compared = metrics.compare(motion, decoded, outcome.data_bytes)
     record.settings, record.bytes, record.bytes_by_part = outcome.settings, outcome.data_bytes, outcome.parts
@@ -204,7 +204,7 @@ def fill(record: Record, motion: Motion, outcome: Outcome) -> None:
 
 
 def stick_figure(motion: Motion, compared: metrics.Comparison) -> dict[str, Any]:
-    """A frame without gaps from the front, (points, 2) metres, parents and mean errors; empty if there is none."""
+    """A frame without gaps from the front: (points, 2) metres, parents and mean errors; empty without such a frame."""
     complete = np.flatnonzero(~motion.gaps.any(axis=1))
     if motion.skeleton is None or not len(complete) or len(set(motion.names)) < motion.points:
         return {}
@@ -220,7 +220,7 @@ def stick_figure(motion: Motion, compared: metrics.Comparison) -> dict[str, Any]
 
 
 def unreadable(task: Task, problem: str) -> Record:
-    """The record of a recording that cannot be read."""
+    """The record of an unreadable recording."""
     return Record(
         codec=task.coder, ours=task.coder in OURS, settings={}, target="", target_m=0.0, file=task.recording.label,
         content="", frames=0, points=0, rate=0.0, problem=problem,
@@ -228,7 +228,7 @@ def unreadable(task: Task, problem: str) -> Record:
 
 
 def tasks(recordings: Sequence[datasets.Recording], coders: Sequence[str], priors: Path | None = None) -> list[Task]:
-    """One task for each coder and recording; ours come first because they take longest.
+    """One task for each coder and recording. Our codecs come first because they take longest.
 
     priors: folder of priors by fold; tempo uses those trained without the recording's person.
     """
@@ -273,7 +273,7 @@ def task_key(task: Task) -> tuple[str, str]:
 
 
 def known_tasks(known: Sequence[Record]) -> dict[tuple[str, str], list[Record]]:
-    """Earlier records by task, of tasks whose records were all made with the installed versions."""
+    """Earlier records by task, for tasks with all records from the installed versions."""
     by_task: dict[tuple[str, str], list[Record]] = {}
     for record in known:
         by_task.setdefault((record.codec, record.file), []).append(record)
@@ -281,7 +281,7 @@ def known_tasks(known: Sequence[Record]) -> dict[tuple[str, str], list[Record]]:
 
 
 def current(record: Record) -> bool:
-    """Whether a record has a result of the installed version of its coder."""
+    """Whether a record has a result from the installed version of its coder."""
     try:
         now = rivals.RIVALS[record.codec]().version() if record.codec in rivals.RIVALS else __version__
     except Exception:

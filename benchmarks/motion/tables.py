@@ -1,6 +1,6 @@
-"""The tables of the motion benchmark, from its records.
+"""Tables of the motion benchmark, from its records.
 
-Means over recordings are geometric, over the recordings that all coders of a column code; the table says how many.
+Means are geometric, over the recordings that all coders of a column can code; the tables have their number.
 """
 
 from __future__ import annotations
@@ -22,13 +22,13 @@ def successful(records: Iterable[Record]) -> list[Record]:
 
 
 def coders(records: Sequence[Record]) -> list[str]:
-    """Names of the coders: ours in the order of OURS, then the rivals by name."""
+    """Names of the coders: ours in the order of OURS, then rivals by name."""
     names = {r.codec for r in records}
     return [n for n in OURS if n in names] + sorted(names - set(OURS))
 
 
 def geometric(values: Sequence[float]) -> float:
-    """The geometric mean; NaN of nothing."""
+    """The geometric mean; NaN without values."""
     return float(np.exp(np.mean(np.log(values)))) if len(values) else float("nan")
 
 
@@ -38,13 +38,13 @@ def cell(records: Sequence[Record], codec: str, target: str, wanted: float) -> l
 
 
 LEAST_SHARE = 0.8
-"""A coder that codes less than this share of the recordings at a target is left out of that column."""
+"""A column omits a coder that codes less than this share of the recordings at its target."""
 
 
 def comparable(
     records: Sequence[Record], names: Sequence[str], target: str, wanted: float
 ) -> tuple[list[str], set[str]]:
-    """The coders that code most recordings at this target, and the recordings that all of these coders code."""
+    """The coders of most recordings at this target, and the recordings that all of these coders can code."""
     files = {n: {r.file for r in cell(records, n, target, wanted)} for n in names}
     most = max(map(len, files.values()), default=0)
     able = [n for n in names if files[n] and len(files[n]) >= LEAST_SHARE * most]
@@ -80,7 +80,7 @@ def bjontegaard(records: Sequence[Record], codec: str, against: str, target: str
 
 
 def ratio_rows(records: Sequence[Record]) -> Table:
-    """The main table: geometric mean ratio of each coder at each target, over recordings that all of them code."""
+    """The main table: geometric mean ratio of each coder at each target, over the recordings that all can code."""
     wanted = targets_of(records)
     names = [n for n in coders(successful(records)) if any(cell(records, n, *t) for t in wanted)]
     compared = {t: comparable(records, names, *t) for t in wanted}
@@ -127,7 +127,7 @@ def lossless_rows(records: Sequence[Record]) -> Table:
 
 
 def speed_rows(records: Sequence[Record]) -> Table:
-    """Median frames a second. Our codecs steer in one call; a rival's time is its last search step."""
+    """Median frames a second. Our codecs search in one call; a rival's time is its last search step."""
     rows = []
     for name in coders(successful(records)):
         mine = [r for r in successful(records) if r.codec == name]
@@ -138,7 +138,7 @@ def speed_rows(records: Sequence[Record]) -> Table:
 
 
 def file_rows(records: Sequence[Record]) -> Table:
-    """Every recording: frames, points, rate, and the ratios of our codecs and SZ3 at all targets."""
+    """A row for each recording: frames, points, rate, and the ratios of our codecs and SZ3 at all targets."""
     names = [n for n in ("tempo", "hou2014", "liu2006", "sz3") if n in coders(successful(records))]
     wanted = targets_of(records)
     head = ["recording", "frames", "points", "Hz"] + [
@@ -157,7 +157,7 @@ def file_rows(records: Sequence[Record]) -> Table:
 
 
 def problem_rows(records: Sequence[Record]) -> Table:
-    """Measurements without a result, and why."""
+    """Measurements without a result, with the reason."""
     seen = {}
     for r in records:
         if r.problem:

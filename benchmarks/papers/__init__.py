@@ -1,1 +1,1 @@
-"""The tables and figures of three papers, our results beside the printed ones: a module with `run` for each."""
+"""Tables and figures of three papers, our results beside the printed ones; each module has a `run`."""

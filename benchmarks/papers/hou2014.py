@@ -3,8 +3,8 @@
     recordings ──► analysis (figures 2 to 5), settings (7, 8, 11, 12), curves with rivals (9), speed, databases
                ──► hou2014.json ──► hou2014.md (Tables I to IV, claims), hou2014_figure*.png
 
-The sequences of the paper are used if they are below the data folder under CMU's names (`subjects/SS/SS_TT.amc`);
-otherwise other CMU recordings replace them.
+It uses the sequences of the paper if the data folder has them under CMU's names (`subjects/SS/SS_TT.amc`); otherwise
+other CMU recordings replace them.
 """
 
 from __future__ import annotations
@@ -46,7 +46,7 @@ DATABASES = {
     "subjects 1, 2, 3": (1, 2, 3),
     "subjects here": (1, 2, 3, 10, 16, 49, 64, 118, 131),
 }
-"""Subjects of the databases of Table II, and of two databases that replace them where their files are missing."""
+"""Subjects of the databases of Table II, and of two databases that replace them if their files are missing."""
 
 ASF_UNIT_M = 0.0254 / 0.45
 
@@ -55,11 +55,11 @@ FEW_COMPONENTS = (10, 20, 30, 45)
 LENGTHS = (140, 210, 280, 350, 420)
 RIVAL_STEPS_M = (0.002, 0.006, 0.015, 0.035, 0.08)
 DATABASE_FRAMES = 80_000
-"""Largest number of frames of a database; of larger ones, only every second, third … file is used."""
+"""Most frames of a database; larger databases use only every second, third … file."""
 
 
 def run(data: Path = datasets.SHARED, output: Path | None = None) -> dict[str, Any]:
-    """Measure on the CMU recordings below `data`; with `output`, write JSON, tables and figures there."""
+    """Measure on the CMU recordings in `data`; with `output`, write JSON, tables and figures there."""
     recordings = Recordings(data)
     report = _reporter()
     results: dict[str, Any] = {
@@ -120,11 +120,11 @@ def write_tables(folder: Path) -> Path:
 
 
 class Recordings:
-    """The recordings below a folder by CMU's names, such as 85_12. Each is read once."""
+    """The recordings in a folder, by CMU's names such as 85_12. Each is read once."""
 
     def __init__(self, folder: Path) -> None:
         self.paths: dict[str, Path] = {}
-        for suffix in ("*.c3d", "*.amc"):  # .amc last, so that it wins: the paper codes joints
+        for suffix in ("*.c3d", "*.amc"):  # .amc last, so that it replaces .c3d: the paper codes joints
             for path in sorted(folder.rglob(suffix)):
                 self.paths[path.stem] = path
         self._read: dict[str, Motion | None] = {}
@@ -139,7 +139,7 @@ class Recordings:
         return [name for names in found for name in names] if all(found) else None
 
     def motion(self, name: str) -> Motion | None:
-        """The motion with its gaps filled (the paper has none); None if the file is missing or cannot be read."""
+        """The motion with filled gaps (the paper has none); None if the file is missing or unreadable."""
         if name not in self._read:
             path = self.paths.get(name)
             motion = None
@@ -175,7 +175,7 @@ def encode_and_measure(codec: Hou2014, motion: Motion, **more: float) -> CurvePo
 
 
 def curves(motion: Motion) -> dict[str, list[CurvePoint]]:
-    """Curves of ratio and error (figure 9) of our codec and the rivals, by name."""
+    """Curves of ratio and error (figure 9), by coder: ours and the rivals."""
     found = {
         "ours, steered": [encode_and_measure(Hou2014(mean_error=t), motion, target_m=t) for t in TARGETS_M],
         "ours, k as in the paper": [encode_and_measure(Hou2014(components=k), motion, k=k) for k in COMPONENTS],
@@ -192,7 +192,7 @@ def curves(motion: Motion) -> dict[str, list[CurvePoint]]:
 
 
 def parts(motion: Motion) -> dict[str, list[CurvePoint]]:
-    """Runs at two mean errors, with the whole codec and without each of its parts."""
+    """Ablation: runs at two mean errors with the whole codec, and without each of its parts."""
     without: dict[str, dict[str, Any]] = {
         "all": {},
         "adaptive clips": {"segmentation": "adaptive"},
@@ -290,7 +290,7 @@ def settings_measured(motion: Motion) -> dict[str, Any]:
 
 
 def analyse(motion: Motion) -> dict[str, Any]:
-    """Section III: values of Table I in metres and in ASF units, and data of figures 2 to 5."""
+    """Section III: values of Table I, in metres and in ASF units, and data of figures 2 to 5."""
     m = analysis.matrix(motion.positions)
     v, s = analysis.mean_variation(m), analysis.total_deviation(m)
     row, frame = int(m.std(axis=1).argmax()), m.shape[1] // 2
@@ -352,7 +352,7 @@ def _frames_guess(path: Path) -> int:
 
 
 def _reporter() -> Callable[[str], None]:
-    """A function that shows the current step on one line of a terminal; without a terminal it does nothing."""
+    """A function that shows the current step on one line of a terminal, and does nothing without a terminal."""
     if not sys.stderr.isatty():
         return lambda step: None
     return lambda step: print(f"\r\033[K{step}", end="", file=sys.stderr, flush=True)

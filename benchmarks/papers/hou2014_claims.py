@@ -9,7 +9,7 @@ from .hou2014_tables import TARGETS_M, error_at, ratio_at
 
 
 def claims(results: dict[str, Any]) -> list[dict[str, Any]]:
-    """The claims of the paper, each with our value and whether it holds (None: not measured)."""
+    """Claims of the paper, each with our value and whether it holds (None: not measured)."""
     return [
         *claims_on_sequences(results["sequences"]),
         *claims_on_settings(results["closely"]),
@@ -18,7 +18,7 @@ def claims(results: dict[str, Any]) -> list[dict[str, Any]]:
 
 
 def claims_on_sequences(sequences: Sequence[dict[str, Any]]) -> list[dict[str, Any]]:
-    """Error at a ratio of 100, comparison with other transforms, gain of the compressed basis."""
+    """Claims on sequences: error at ratio 100, comparison with other transforms, gain of the compressed basis."""
     found: list[dict[str, Any]] = []
     for one in sequences:
         if one["points"] <= 31 and one["rate"] > 100:
@@ -66,7 +66,7 @@ def claims_on_sequences(sequences: Sequence[dict[str, Any]]) -> list[dict[str, A
 
 
 def claims_on_settings(sequences: Sequence[dict[str, Any]]) -> list[dict[str, Any]]:
-    """Adaptive clips against equal ones; the ratio at 60 Hz."""
+    """Claims on settings: adaptive clips against equal ones; the ratio at 60 Hz."""
     found: list[dict[str, Any]] = []
     for one in sequences:
         equal = [p for points in one["L"].values() for p in points]
@@ -98,7 +98,7 @@ def claims_on_settings(sequences: Sequence[dict[str, Any]]) -> list[dict[str, An
 
 
 def claims_on_databases(databases: Sequence[dict[str, Any]]) -> list[dict[str, Any]]:
-    """Several transforms against one; convergence of the annealing."""
+    """Claims on databases: several transforms against one; convergence of the annealing."""
     found: list[dict[str, Any]] = []
     for one in databases:
         single = [r for r in one["rows"] if r["K"] == 1]

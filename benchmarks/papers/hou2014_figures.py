@@ -60,9 +60,7 @@ def draw_setting(plt: Any, sequences: Sequence[dict[str, Any]], key: str, title:
         1, len(sequences), figsize=(5.2 * len(sequences), 3.8), squeeze=False, layout="constrained"
     )
     for panel, one in zip(axes[0], sequences, strict=True):
-        groups = list(
-            dict.fromkeys(label.split(",")[0] for label in one[key])
-        )  # a colour for each L; the line style tells r
+        groups = list(dict.fromkeys(label.split(",")[0] for label in one[key]))  # colour by L, line style by r
         colours = plt.get_cmap("viridis")(np.linspace(0, 0.88, len(groups)))
         drawn = dict.fromkeys(groups, 0)
         for label, points in one[key].items():

@@ -1,4 +1,4 @@
-"""Tables of Hou et al. (2014): printed values, and ours from the stored results."""
+"""Tables of Hou et al. (2014): printed values, and our stored results."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ import numpy as np
 CurvePoint = dict[str, float]
 """One run: ratio, mean error in centimetres, and other values."""
 TARGETS_M = (0.001, 0.002, 0.003, 0.006, 0.01)
-"""Mean errors to which the codec is steered."""
+"""Target mean errors of the codec."""
 
 TABLE_I = {"14_14": (0.0516, 2.895), "15_12": (0.0305, 1.683), "83_36": (0.0363, 10.217), "86_06": (0.0483, 8.2831)}
 """v̄ and σ̄ as printed, apparently in the unit of the ASF files."""

@@ -1,4 +1,4 @@
-"""Tables and figures of Lien and Bajcsy (2006), their results beside those of our lien2006 and bodycast.
+"""Tables and figures of Lien and Bajcsy (2006): their results beside our lien2006 and bodycast.
 
     section 5.1: clips on the actor ──► thinned, noisy points ──► trackers ──► e_t, frame rates (figures 6 to 8)
     section 5.2: clips on the actor ──► ten depth cameras ──► codecs ──► PSNR, ratios (tables 1 and 2, figure 9)
@@ -39,7 +39,7 @@ RATE = 15.0
 POINTS = 10_000
 SYNTHETIC = {"dance": "salsa_09", "crouch & flip": "49_20", "turn": "turning", "tai-chi": "02_05"}
 TELE_IMMERSION = {"dancer 1": "salsa_09", "dancer 2": "131_04", "student": "01_01", "tai-chi master": "02_05"}
-"""The motions of the paper, and the clip that replaces each."""
+"""Motions of the paper, and their replacement clips."""
 
 PAPER_FPS = {"dance": 39.1, "crouch & flip": 29.6, "turn": 48.4, "tai-chi": 61.3}
 PAPER_FPS_TELE_IMMERSION = {"dancer 1": 11.9, "dancer 2": 11.5, "student": 12.5, "tai-chi master": 12.6}
@@ -56,9 +56,9 @@ LEVELS = (0, 25, 100)
 KEPT_SHARES = (1.0, 0.25, 0.05, 0.01)
 NOISES_M = (0.0, 0.005, 0.01, 0.02)
 STARTS = {"salsa_09": 2.0, "49_20": 1.0, "02_05": 4.0, "131_04": 2.0, "01_01": 4.0}
-"""Second of each clip at which its interesting part starts."""
+"""Start of the interesting part of each clip, seconds."""
 LONG = 1000
-"""Number of frames for which ratios with the model are calculated."""
+"""Number of frames for ratios with the model."""
 
 
 def run(
@@ -98,7 +98,7 @@ def run(
 
 
 def perform(actor: Actor, data: Path, name: str, frames: int) -> Performance | None:
-    """A motion on the actor; None if its recording is not there."""
+    """A motion on the actor; None if its recording does not exist."""
     if name == "turning":
         return sequences.turning(actor, frames, RATE)
     return retarget.perform_clip(actor, data, name, RATE, STARTS[name], frames)
@@ -111,7 +111,7 @@ def write_tables(folder: Path) -> Path:
 
 
 def track_synthetic(act: Performance) -> dict[str, Any]:
-    """Figure 6 and frame rates on 25 % of the points: ARTICP with and without its constraints, bodycast's tracker."""
+    """Figure 6 and frame rates with 25 % of the points: ARTICP with and without its constraints, bodycast's tracker."""
     clouds = sequences.record(act, POINTS, keep=0.25, seed=1, normals=True)
     settings = articulated_icp.ArticpSettings
     return {
@@ -124,7 +124,7 @@ def track_synthetic(act: Performance) -> dict[str, Any]:
 
 
 def track_with_both(act: Performance, **recording: float) -> dict[str, Any]:
-    """ARTICP and bodycast's tracker on a recording made with these options of `sequences.record`."""
+    """ARTICP and bodycast's tracker on a recording with these options of `sequences.record`."""
     clouds = sequences.record(act, POINTS, seed=1, **recording)  # type: ignore[arg-type]
     return {
         "lien2006": track_with_articp(act, clouds, articulated_icp.ArticpSettings()),
@@ -135,7 +135,7 @@ def track_with_both(act: Performance, **recording: float) -> dict[str, Any]:
 def track_with_articp(
     act: Performance, clouds: PointClouds, settings: articulated_icp.ArticpSettings, normals: bool = False
 ) -> dict[str, Any]:
-    """ARTICP from the true first pose. normals: use the true normals instead of estimated ones."""
+    """ARTICP from the true first pose. normals: use true normals, not estimated ones."""
     actor = act.actor
     body = articulation.from_skeleton(actor.names, actor.parents, act.joints[0], one_trunk=True, shortest=0.1)
     true = lambda frame: normals_of_some_points(clouds, frame) if normals else None  # noqa: E731
@@ -161,7 +161,7 @@ def some_points(clouds: PointClouds, frame: int, most: int = 2500) -> tuple[Floa
 
 
 def normals_of_some_points(clouds: PointClouds, frame: int, most: int = 2500) -> Floats:
-    """The true normals of the points that `some_points` chooses."""
+    """True normals of the points of `some_points`."""
     assert clouds.normals is not None
     return clouds.normals[frame][np.random.default_rng(frame).permutation(len(clouds.positions[frame]))[:most]]
 
@@ -191,7 +191,7 @@ def joint_error(estimated: Floats, true: Floats, points: Floats) -> float:
 
 
 def ball_radius(points: Floats) -> float:
-    """Radius of the smallest ball around points (n, 3), approximately, by the iteration of Bădoiu and Clarkson."""
+    """Approximate radius of the smallest ball around points (n, 3), by the iteration of Bădoiu and Clarkson."""
     centre = points.mean(axis=0)
     for step in range(1, 60):
         farthest = points[np.argmax(np.sum((points - centre) ** 2, axis=1))]
@@ -200,7 +200,7 @@ def ball_radius(points: Floats) -> float:
 
 
 def code_and_measure(act: Performance, motion: str, output: Path | None) -> dict[str, Any]:
-    """Tables 1 and 2 and figure 9 for one motion recorded by the rig: both codecs at all residuals."""
+    """Tables 1 and 2 and figure 9 for one motion, recorded by the rig: both codecs at all residuals."""
     clouds = sequences.record(act, POINTS, rig=sequences.Rig(), seed=1)
     second_sample = sequences.record(act, POINTS, rig=sequences.Rig(), seed=2)
     frames = range(1, len(clouds), 3)
@@ -245,7 +245,7 @@ def ratios(encoded: Encoded[PointClouds], clouds: PointClouds) -> dict[str, floa
 
 
 def side_by_side(pictures: Sequence[tuple[str, PointClouds]], frames: Sequence[int], output: Path) -> None:
-    """A picture to check the numbers by eye: rows of frames, columns of codecs, each frame from two sides."""
+    """A picture for a visual check: rows of frames, columns of codecs, each frame from two sides."""
     plt = pyplot()
     figure, axes = plt.subplots(len(frames), len(pictures), figsize=(3.2 * len(pictures), 3.4 * len(frames)))
     for row, frame in enumerate(frames):

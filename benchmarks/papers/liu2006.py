@@ -1,7 +1,7 @@
 """Tables 2 and 3 and figures 3 and 4 of Liu and McMillan (2006), our results beside the printed ones.
 
-The paper does not name its four recordings, but prints their numbers of frames: every C3D file with one of these
-numbers of frames and 41 markers is taken for one of them.
+The paper does not name its four recordings, but prints their numbers of frames. A C3D file with one of these numbers of
+frames and 41 markers counts as one of them.
 """
 
 from __future__ import annotations
@@ -42,11 +42,11 @@ PUBLISHED: dict[int, dict[str, Any]] = {
 """Tables 2 and 3 by the number of frames; the paper's rivals as (ratio, d %)."""
 
 REPEATS = 9
-"""Number of runs of which the fastest is reported."""
+"""Number of runs; the fastest counts."""
 
 
 def run(data: Path = datasets.SHARED, output: Path | None = None) -> dict[str, Any]:
-    """Measure the sequences of the paper below `data`; with `output`, write JSON, tables and figures there."""
+    """Measure the sequences of the paper in `data`; with `output`, write JSON, tables and figures there."""
     codec = Liu2006()
     rows: list[dict[str, Any]] = []
     drawings: list[tuple[int, Sequence[Curve], Motion, Motion]] = []
@@ -72,7 +72,7 @@ def run(data: Path = datasets.SHARED, output: Path | None = None) -> dict[str, A
 
 
 def sequences(data: Path) -> list[tuple[Path, Motion]]:
-    """The C3D files below a folder that are taken for sequences of the paper, with their motions."""
+    """The C3D files in a folder that count as sequences of the paper, with their motions."""
     found: list[tuple[Path, Motion]] = []
     for path in sorted(data.rglob("*.c3d")):
         if frames_of(path) in PUBLISHED:
@@ -125,7 +125,7 @@ def measure(codec: Liu2006, motion: Motion) -> tuple[dict[str, Any], Sequence[Cu
 
 
 def there_and_back(codec: Liu2006, motion: Motion, times: int) -> dict[str, Any]:
-    """Milliseconds per frame for `times` copies of the motion, forwards and backwards in turn."""
+    """Milliseconds per frame for `times` copies of the motion, alternately forwards and backwards."""
     copies = [motion.positions[:: -1 if turn % 2 else 1] for turn in range(times)]
     long = Motion(np.concatenate(copies), motion.rate, motion.names, motion.up)
     encode_ms, encoded = timed(lambda: codec.encode(long), len(long))
@@ -134,7 +134,7 @@ def there_and_back(codec: Liu2006, motion: Motion, times: int) -> dict[str, Any]
 
 
 def readings(codec: Liu2006, motion: Motion, groups: marker_groups.MarkerGroups) -> list[dict[str, Any]]:
-    """Results with other interpretations of what the paper leaves open."""
+    """Results with other interpretations of points that the paper leaves open."""
     others = len(groups.others)
     rows = []
     for interpretation, changed in (
@@ -164,7 +164,7 @@ def readings(codec: Liu2006, motion: Motion, groups: marker_groups.MarkerGroups)
 
 
 def jump(motion: Motion, decoded: Motion, cuts: Sequence[int]) -> float:
-    """Root mean square change of the error at the cuts, over points and cuts, metres: jumps that coding adds."""
+    """Jumps that coding adds: root mean square change of the error at cuts, over points and cuts, metres."""
     if not cuts:
         return 0.0
     error = decoded.positions - motion.positions
@@ -233,7 +233,7 @@ def markdown(results: dict[str, Any]) -> str:
 
 
 def figure_3(path: Path, curves: Sequence[Curve], rate: float) -> None:
-    """Average Mahalanobis distance H against the end of the model, a curve for each search, and the cuts."""
+    """Figure of the average Mahalanobis distance H against the model's end: a curve for each search, and the cuts."""
     plt = pyplot()
     figure, axes = plt.subplots(figsize=(9, 3.6), layout="constrained")
     for i, curve in enumerate(curves):
@@ -250,7 +250,7 @@ def figure_3(path: Path, curves: Sequence[Curve], rate: float) -> None:
 
 
 def figure_4(path: Path, motion: Motion, decoded: Motion, curves: Sequence[Curve]) -> None:
-    """Root mean square error over the markers, frame by frame."""
+    """Figure of the root mean square error over the markers, frame by frame."""
     plt = pyplot()
     error = 1000 * metrics.rms_per_frame(motion.positions, decoded.positions)
     figure, axes = plt.subplots(figsize=(9, 3.0), layout="constrained")

@@ -1,1 +1,1 @@
-"""What independent readers read from the same C3D and TRC files."""
+"""Comparison with independent readers of C3D and TRC files."""

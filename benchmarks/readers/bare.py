@@ -1,4 +1,4 @@
-"""`python bare.py METRES FILE…`: bytes of each recording without extras as JSON, by whatever mocodec is on the path."""
+"""`python bare.py METRES FILE…`: bytes of each recording without extras as JSON, with the mocodec on the path."""
 
 from __future__ import annotations
 

@@ -1,10 +1,10 @@
-"""What independent readers read from the same files: `scripts/bench readers` → docs/results/readers*.json, .md.
+"""Comparison with independent readers: `scripts/bench readers` → docs/results/readers*.json, .md.
 
     C3D ──► mocodec, ezc3d, py-c3d ─────────────┐
-    TRC ──► mocodec, lines split at tabs (here) ┴─► quantity by quantity: equal, or what differs, and why
+    TRC ──► mocodec, lines split at tabs (here) ┴─► quantity by quantity: equal, or the difference and its cause
 
-Model outputs, which mocodec keeps apart from the markers, are put back into their columns first. Every difference is
-looked up in the bytes of the file (`evidence.py`); one that no rule explains fails the command.
+Model outputs, which mocodec separates from the markers, return to their columns first. Rules look up every difference
+in the bytes of the file (`evidence.py`); an unexplained difference fails the command.
 """
 
 from __future__ import annotations
@@ -37,7 +37,7 @@ def files(root: Path) -> list[Path]:
 
 
 def read_all(path: Path) -> dict[str, Reading | str]:
-    """What each reader reads from a file, or its message; mocodec first."""
+    """The reading of each reader, or its error message; mocodec first."""
     found: dict[str, Reading | str] = {}
     for name, read in READERS[path.suffix].items():
         try:
@@ -48,7 +48,7 @@ def read_all(path: Path) -> dict[str, Reading | str]:
 
 
 def measure(path: Path) -> list[dict[str, Any]]:
-    """A record for each other reader and quantity of a file; of a file that one reader refuses, one for "file"."""
+    """A record for each other reader and quantity of a file; if a reader refuses the file, one record for "file"."""
     found = read_all(path)
     ours = found.pop("mocodec")
     records: list[dict[str, Any]] = []
@@ -107,7 +107,7 @@ def write_tables(folder: Path) -> Path:
 
 
 def _summary(records: list[dict[str, Any]]) -> str:
-    """The cell of a file and a reader: equal, or the quantities that differ."""
+    """Table cell of a file and a reader: equal, or the quantities that differ."""
     if not records:
         return "–"
     differing = [record["quantity"] for record in records if record["difference"]]
@@ -123,12 +123,12 @@ def _summary(records: list[dict[str, Any]]) -> str:
 @click.option(
     "--before",
     type=click.Path(exists=True, path_type=Path),
-    help="A built checkout that takes model outputs for positions; by default its stored bytes are kept.",
+    help="A built checkout that stores model outputs as positions; by default its stored bytes are kept.",
 )
 @click.option("--no-bytes", is_flag=True, help="Compare only; keep the stored bytes of model outputs.")
 @click.option("--tables", is_flag=True, help="Only write the tables from the stored results.")
 def command(data: Path, before: Path | None, no_bytes: bool, tables: bool) -> None:
-    """Compare what mocodec, ezc3d and py-c3d read, and measure what model outputs cost: docs/results/readers.json."""
+    """Compare readings of mocodec, ezc3d and py-c3d; measure bytes of model outputs: docs/results/readers.json."""
     if not tables:
         stored = (results.read_json(RESULTS) or {}).get("outputs", [])
         comparisons: list[dict[str, Any]] = []

@@ -1,4 +1,4 @@
-"""What differs between two readings of a file, quantity by quantity."""
+"""Differences between two readings of a file, quantity by quantity."""
 
 from __future__ import annotations
 
@@ -18,12 +18,12 @@ TIME_TOLERANCE_S = 1e-5
 
 
 def compare(ours: Reading, theirs: Reading) -> dict[str, str]:
-    """What differs, in words, by quantity; an empty text where the readings are equal."""
+    """The difference in words, by quantity; an empty text for equal readings."""
     return {quantity: difference(ours, theirs) for quantity, difference in QUANTITIES.items()}
 
 
 def gaps_of(reading: Reading) -> Booleans:
-    """(frames, points): samples without all three coordinates."""
+    """Mask (frames, points) of samples without all three coordinates."""
     return np.asarray(np.isnan(reading.positions).any(axis=2))
 
 

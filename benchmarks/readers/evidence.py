@@ -1,4 +1,4 @@
-"""Why two readings of a file differ, looked up in its bytes: one rule for each cause (`RULES`).
+"""Causes of differences between two readings of a file, from its bytes: one rule for each cause (`RULES`).
 
 A rule returns a sentence if the bytes show its cause, else "".
 """
@@ -37,7 +37,7 @@ class Bytes:
 
 
 def explanation(path: Path, reader: str, quantity: str, ours: Reading | str, theirs: Reading | str) -> str:
-    """Who is right about a quantity and why, by the bytes; UNEXPLAINED if no rule applies."""
+    """The reader that is right about a quantity, with the reason; UNEXPLAINED if no rule applies."""
     file = Bytes(path)
     sentences = (rule(file, reader, quantity, ours, theirs) for rule in RULES)
     return next(filter(None, sentences), UNEXPLAINED)

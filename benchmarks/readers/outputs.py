@@ -1,4 +1,4 @@
-"""Bytes of markers alone against bytes of markers with a model's angles, forces, moments and powers among them.
+"""Bytes of markers, and of model outputs (angles, forces, moments, powers) as positions or beside the markers.
 
 C3D ─► mocodec of an older checkout: all points are positions, within the bound ─► bytes
     └► mocodec: markers within the bound ─► bytes
@@ -26,8 +26,8 @@ FILES = ("59993_Frame_Static", "Movement_trial", "RoboStatic", "Sample_Static", 
 
 
 def measure(root: Path, before: Path | None, stored: list[dict[str, Any]]) -> list[dict[str, Any]]:
-    """One record for each file. before: a checkout that takes model outputs for positions; stored: records to take its
-    bytes from where there is none."""
+    """One record for each file. before: a checkout that stores model outputs as positions; stored: records with its
+    bytes, used without a checkout."""
     paths = [root / "field-c3d" / f"{name}.c3d" for name in FILES]
     script = [sys.executable, str(Path(__file__).with_name("bare.py")), str(BOUND_M), *map(str, paths)]
     older: dict[str, dict[str, int]] = {record["file"]: record["all_points"] for record in stored}
@@ -56,7 +56,7 @@ def measure(root: Path, before: Path | None, stored: list[dict[str, Any]]) -> li
 
 
 def rows(records: list[dict[str, Any]]) -> list[list[str]]:
-    """The rows of a table: file; points and bytes before; of markers; difference; of outputs."""
+    """Table rows: file; points and bytes before; of markers; difference; of outputs."""
     table: list[list[str]] = []
     for record in records:
         every, markers, outputs = (record[key] for key in ("all_points", "markers", "outputs"))

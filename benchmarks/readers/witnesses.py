@@ -1,4 +1,4 @@
-"""Readings of one file by mocodec and by independent readers, all in one form (`READERS`)."""
+"""Readings of one file by mocodec and by independent readers, in a common form (`READERS`)."""
 
 from __future__ import annotations
 
@@ -26,9 +26,9 @@ from ..packages import needs
 class Reading(NamedTuple):
     """One reader's view of a file.
 
-    positions (frames, points, 3): in the file's unit, NaN in gaps. rates: hertz, of frames and of analog samples (0
-    without). analog (samples, channels): physical values. events: label and time, seconds from frame 1. start: time of
-    the first frame, seconds; NaN where a format has none. frames: number of the first frame.
+    positions (frames, points, 3): in the file's unit, NaN in gaps. rates: hertz, of frames and of analog samples (0:
+    none). analog (samples, channels): physical values. events: label and time, seconds from frame 1. start: time of
+    the first frame, seconds; NaN if the format has none. frames: number of the first frame.
     """
 
     labels: list[str]
@@ -62,7 +62,7 @@ def with_mocodec(path: Path, **options: Any) -> Reading:
 
 
 def merged(motion: Motion, block: Floats, labels: list[str]) -> tuple[Floats, list[str]]:
-    """Samples (frames, points, 4) and labels with the model outputs in the columns that the file has them in."""
+    """Samples (frames, points, 4) and labels, with the model outputs in their original columns."""
     columns = motion.extras["model_outputs"]["columns"].tolist()
     narrow, all_labels = merge(motion, block.astype("<f4"), labels, Parameters({"POINT": {}}))
     wide = narrow.astype(np.float64)
@@ -117,7 +117,7 @@ def _py_events(reader: Any) -> list[tuple[str, float]]:
 
 
 def by_splitting(path: Path) -> Reading:
-    """A TRC by splitting its lines at tabs: a name above every third column; a cell without a number is a gap."""
+    """Reads a TRC by splitting lines at tabs: every third column has a name; a cell without a number is a gap."""
     lines = path.read_text("latin-1").splitlines()
     keys = dict(zip(lines[1].split(), lines[2].split(), strict=False))
     names = [cell.strip() for cell in lines[3].split("\t")[2::3]]

@@ -1,1 +1,1 @@
-"""Speed, single thread, with pytest-benchmark: codecs, the entropy coder, readers, opening a file, start."""
+"""Speed on a single thread, with pytest-benchmark: codecs, entropy coder, readers, opening a file, start."""

@@ -2,9 +2,8 @@
 
     recordings ─each at its bound─► median of runs, in turn ─► docs/results/speed.json ─► docs/results/speed.md
 
-Times are those of the processor, so that other work on the machine disturbs less; but for threads, elapsed times, which
-mean something on a quiet machine only. SZ3's bound is per coordinate: its
-knob is chosen so that its largest error is about the same.
+Times are processor times, so that other work on the machine disturbs less. Comparisons of threads use elapsed times,
+which need a quiet machine. SZ3's bound is per coordinate: its knob is chosen for about the same largest error.
 """
 
 from __future__ import annotations
@@ -46,7 +45,7 @@ CASES = (
     ("41 markers", "cmu/c3d/85_12.c3d", 0.005, "transform"),
     ("41 markers", "cmu/c3d/85_12.c3d", 0.001, "transform"),
 )
-"""What is coded: label, file, maximum error in metres, tempo's model."""
+"""Cases: label, file, maximum error in metres, tempo's model."""
 
 
 def seconds(work: Callable[[], object], runs: int = RUNS) -> float:
@@ -60,7 +59,7 @@ def seconds(work: Callable[[], object], runs: int = RUNS) -> float:
 
 
 def measure(label: str, path: str, bound: float, model: str) -> dict[str, Any]:
-    """Frames a second of both, and tempo's without the compiled module."""
+    """Frames a second of both, and of tempo without the compiled module."""
     motion = mc.read(DATA / path, mc.Motion)
     motion = replace(motion, rotations=None, extras={})
     data = mc.encode(motion, "tempo", max_error=bound, model=model)
@@ -91,7 +90,7 @@ def measure(label: str, path: str, bound: float, model: str) -> dict[str, Any]:
 
 
 def interpreter_free_share(data: bytes) -> float:
-    """Share of decoding a long recording that is spent in the compiled module: other threads run meanwhile."""
+    """Share of a long recording's decoding time in the compiled module, during which other threads can run."""
     long, inside, decode = longer(data, 0.05), [0.0], compiled_chunks.decode
 
     def timed(*arguments: Any) -> bool:
@@ -110,21 +109,21 @@ def interpreter_free_share(data: bytes) -> float:
 
 
 def two_threads_encoding(motion: mc.Motion, bound: float, model: str) -> float:
-    """The same as `two_threads_over_one` of encoding ten minutes."""
+    """`two_threads_over_one` for encoding ten minutes."""
     long = longer_motion(motion, THREADED_HOURS)
     encode = lambda threads: mc.encode(long, "tempo", max_error=bound, model=model, threads=threads)  # noqa: E731
     return two_threads_over_one(encode, ENCODING_THREADED_RUNS)
 
 
 def longer_motion(motion: mc.Motion, hours: float) -> mc.Motion:
-    """Forth and back over and over."""
+    """A motion of this length: forwards and backwards, repeated."""
     there_and_back = np.concatenate([motion.positions, motion.positions[-2:0:-1]])
     times = -(-round(hours * 3600 * motion.rate) // len(there_and_back))
     return replace(motion, positions=np.tile(there_and_back, (times, 1, 1)))
 
 
 def two_threads_over_one(work: Callable[[int], object], runs: int = RUNS) -> float:
-    """How many times faster work on ten minutes is with two threads than with one: medians of elapsed time, in turn."""
+    """Speed-up of work on ten minutes with two threads over one: medians of elapsed times of alternating runs."""
     elapsed = dict[int, list[float]]({1: [], 2: []})
     for _ in range(runs):
         for threads, times in elapsed.items():
@@ -135,9 +134,9 @@ def two_threads_over_one(work: Callable[[int], object], runs: int = RUNS) -> flo
 
 
 def stages(data: bytes) -> dict[str, float]:
-    """Seconds of the stages of a chunk in the compiled module, and what limits them from below.
+    """Seconds of the stages of a chunk in the compiled module, and their lower limits.
 
-    copy_s: copying its positions, which memory allows. symbols: coded coefficients and items of lists.
+    copy_s: copying its positions, the limit of memory; symbols: coded coefficients and items of lists.
     """
     with mc.open(data, mc.Motion) as f:
         model = StreamHeader.unpack(f.encoded.shared, f.encoded.about.points).read_model(f.encoded.about)
@@ -163,7 +162,7 @@ def stages(data: bytes) -> dict[str, float]:
 
 
 def window_seconds(data: bytes) -> float:
-    """A random window from an open file, once its chunks have been decoded."""
+    """Seconds of reading a random window from an open file with cached chunks."""
     random = np.random.default_rng(0)
     with mc.open(data, mc.Motion) as f:
         starts = random.integers(0, len(f) - WINDOW_FRAMES, WINDOWS).tolist()
@@ -173,7 +172,7 @@ def window_seconds(data: bytes) -> float:
 
 
 def longer(data: bytes, hours: float) -> bytes:
-    """The same chunks over and over."""
+    """A file of this length that repeats the chunks."""
     with mc.open(data, mc.Motion) as f:
         encoded, chunks, at = f.encoded, list[Chunk](), 0
         while at < hours * 3600 * f.rate:
@@ -183,7 +182,7 @@ def longer(data: bytes, hours: float) -> bytes:
 
 
 def openings(folder: Path) -> list[dict[str, Any]]:
-    """Opening long recordings of 31 joints, and opening and reading a second anywhere."""
+    """Seconds of opening long recordings of 31 joints, and of opening them and reading one second."""
     label, path, bound, model = CASES[0]
     motion = replace(mc.read(DATA / path, mc.Motion), rotations=None, extras={})
     data, random, found = mc.encode(motion, "tempo", max_error=bound, model=model), np.random.default_rng(1), []

@@ -1,4 +1,4 @@
-"""Speed, single thread: codecs, the entropy coder, readers, opening. `scripts/bench speed` runs it."""
+"""Speed on a single thread: codecs, entropy coder, readers, opening. `scripts/bench speed` runs it."""
 
 from __future__ import annotations
 

@@ -43,7 +43,7 @@ def command(store: bool, pytest_arguments: tuple[str, ...]) -> None:
 
 
 def summary(raw: dict[str, Any]) -> dict[str, Any]:
-    """The results of pytest-benchmark without what identifies the machine's owner: medians, rates, versions."""
+    """The results of pytest-benchmark without data about the machine's owner: medians, rates, versions."""
     records = []
     for benchmark in raw["benchmarks"]:
         median, extra = benchmark["stats"]["median"], benchmark["extra_info"]

@@ -1,4 +1,4 @@
-"""The motions on which codecs are timed."""
+"""Motions for the timing of codecs."""
 
 from __future__ import annotations
 

@@ -1,9 +1,9 @@
-"""`scripts/bench long`: recordings that do not fit into memory, encoded in blocks, against at once.
+"""`scripts/bench long`: recordings too long for memory, encoded in blocks and whole.
 
-    recordings of one skeleton, over and over ─generator─► encode_blocks ─► processor time, peak memory, bytes
-                                              └─all frames in memory─► encode ─► the same
+    recordings of one skeleton, repeated ─generator─► encode_blocks ─► processor time, peak memory, bytes
+                                         └─all frames in memory─► encode ─► the same measures
 
-Each case runs in a process of its own, so that its peak of resident memory is its own.
+Each case runs in its own process, for a separate peak of resident memory.
 """
 
 from __future__ import annotations
@@ -35,12 +35,12 @@ SOURCES = "cmu/asfamc/*/*.amc"
 SOURCE_FRAMES, BLOCK_FRAMES, RATE = 60_000, 4096, 120
 MAX_ERROR_M = 0.005
 CASES = ((0.5, "blocks"), (0.5, "at once"), (1.0, "blocks"), (10.0, "blocks"))
-"""Hours, and how they are encoded."""
+"""Hours, and kind of encoding."""
 MEGABYTE = 1e6
 
 
 def joined_recordings() -> mc.Motion:
-    """Positions of recordings of the same joints, one after the other, with the bones of the first."""
+    """Concatenated positions of recordings of the same joints, with the bones of the first."""
     parts: list[mc.Motion] = []
     for path in sorted(DATA.glob(SOURCES)):
         motion = mc.read(path, mc.Motion)
@@ -55,7 +55,7 @@ def joined_recordings() -> mc.Motion:
 
 
 def blocks(source: mc.Motion, frames: int) -> Iterator[mc.Motion]:
-    """`frames` frames: the source over and over."""
+    """Yields `frames` frames: the source, repeated."""
     at = 0
     while at < frames:
         start = at % (len(source) - BLOCK_FRAMES)
@@ -65,7 +65,7 @@ def blocks(source: mc.Motion, frames: int) -> Iterator[mc.Motion]:
 
 
 def measure_here(source: Path, hours: float, how: str) -> dict[str, Any]:
-    """One case, in this process."""
+    """Measures one case in this process."""
     with np.load(source) as arrays:
         skeleton = mc.Skeleton(tuple(arrays["names"].tolist()), tuple(arrays["parents"].tolist()), arrays["offsets"])
         motion = mc.Motion(arrays["positions"], RATE, skeleton.names, "y", skeleton)
@@ -97,7 +97,7 @@ def measure_here(source: Path, hours: float, how: str) -> dict[str, Any]:
 
 
 def measure(source: Path, hours: float, how: str) -> dict[str, Any]:
-    """One case, in a process of its own."""
+    """Measures one case in a new process."""
     command = [sys.executable, "-m", __name__, str(source), str(hours), how]
     done = subprocess.run(command, stdout=subprocess.PIPE, text=True, check=True)
     return json.loads(done.stdout.splitlines()[-1])
@@ -142,7 +142,7 @@ def page(results: dict[str, Any]) -> str:
 @click.option("--table-only", is_flag=True, help="Write the table from the stored results.")
 @click.option("--hours", type=float, help="Only recordings of at most this length.")
 def command(table_only: bool, hours: float | None) -> None:
-    """Encode long recordings in blocks and at once; write docs/results/long.json and long.md."""
+    """Encode long recordings in blocks and whole; write docs/results/long.json and long.md."""
     if not table_only:
         motion = joined_recordings()
         assert motion.skeleton is not None

@@ -2,7 +2,7 @@
 
     recordings ─each codec at each mean error─► median of runs ─► docs/results/speed_published.json, speed_published.md
 
-Times are those of the processor.
+Times are processor times.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""The recordings that are timed: the one inside the package, and larger ones below a folder of recordings."""
+"""Recordings to time: the one inside the package, and larger ones in a folder of recordings."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Measurements of archives, on a small one of synthetic motion."""
+"""Measurements of archives, on a small archive of synthetic motion."""
 
 from __future__ import annotations
 

@@ -28,10 +28,10 @@ def test_an_interrupted_grid_continues(tmp_path, monkeypatch):
     monkeypatch.setattr(grid, "conditions", lambda quick=False: wanted)
     json_path, page = grid.measure(tmp_path, False, 4, False, tmp_path)
     results = grid.load(json_path)
-    assert [r.clip for r in results] == ["jumping jacks"] * 2  # no recording of the other
+    assert [r.clip for r in results] == ["jumping jacks"] * 2  # the other clip has no recording
     assert results[0].mean_cm < 3
     assert "jumping jacks | 15" in page.read_text()
-    monkeypatch.setattr(tracking, "perform", None)  # measuring again would fail
+    monkeypatch.setattr(tracking, "perform", None)  # so that a new measurement would fail
     wanted.pop()
     assert grid.load(grid.measure(tmp_path, False, 4, False, tmp_path)[0]) == results
 

@@ -1,4 +1,4 @@
-"""The benchmark of things that are not one person, on a small scene without recordings."""
+"""The benchmark of clouds with other content than one person, on a small scene without recordings."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ def test_a_chair_without_recordings_and_again(tmp_path, monkeypatch):
     arguments = ["-o", str(tmp_path), "--frames", "6", "--scene", "chair"]
     CliRunner().invoke(object_scenes.command, arguments, catch_exceptions=False)
     results = read_json(tmp_path / "cloud_objects.json")
-    monkeypatch.setattr(object_scenes, "measure_thing", None)  # stored ones stay
+    monkeypatch.setattr(object_scenes, "measure_thing", None)  # stored results stay
     CliRunner().invoke(object_scenes.command, arguments, catch_exceptions=False)
     assert read_json(tmp_path / "cloud_objects.json")["scenes"] == results["scenes"]
     [chair], [thing] = results["scenes"], results["things"]

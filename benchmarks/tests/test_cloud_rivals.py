@@ -30,7 +30,7 @@ def clouds(performance) -> PointClouds:
 
 
 def encoded(rival: rivals.CloudRival, clouds: PointClouds, knob: int) -> bytes:
-    """Skips where the rival's package is not installed."""
+    """Skips if the rival's package is not installed."""
     try:
         return rival.encode(clouds, knob)
     except MissingExtra as missing:

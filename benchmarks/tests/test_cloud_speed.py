@@ -1,4 +1,4 @@
-"""What a recording costs once is told from what each frame costs."""
+"""Constant costs of a recording are separated from costs of each frame."""
 
 from __future__ import annotations
 

@@ -25,7 +25,7 @@ def wave(frames: int = 240, points: int = 4) -> Motion:
 
 
 def grid(motion: Motion, knob: float) -> runner.Outcome:
-    """A coder that rounds to a step; its bytes fall with the step."""
+    """A coder that rounds to a step; larger steps take fewer bytes."""
     decoded = np.round(motion.positions / knob) * knob
     return runner.Outcome(int(1000 - 50 * np.log(knob)), decoded, 0.01, 0.01, {"knob": knob}, {"stream": 1})
 

@@ -27,7 +27,7 @@ NAMES = MOTIONS[0].names
 
 
 def smooth(frames: int, columns: int, seed: int) -> Floats:
-    """Curves (frames, columns) of slow waves, about as large as people's rotations, radians."""
+    """Slow waves (frames, columns) about as large as people's rotations, radians."""
     rng = np.random.default_rng(seed)
     t = np.arange(frames)[:, None, None] / 120
     waves = rng.normal(0, 0.15, (columns, 4)) * np.sin(2 * np.pi * rng.uniform(0.1, 2.5, (columns, 4)) * t)
@@ -35,7 +35,7 @@ def smooth(frames: int, columns: int, seed: int) -> Floats:
 
 
 def rigid_bones(frames: int, seed: int) -> Motion:
-    """A body with the joints of the prior in the package, proportions of its own, and its skeleton."""
+    """A body with the joints of the package's prior and other proportions, and its skeleton."""
     scale = np.random.default_rng(seed).uniform(0.85, 1.15, (len(JOINTS.names), 1))
     tree = JOINTS.tree.with_offsets(JOINTS.tree.vectors * scale)
     positions = bone_directions.inverse(tree, smooth(frames, tree.dimensions, seed))
@@ -43,7 +43,7 @@ def rigid_bones(frames: int, seed: int) -> Motion:
 
 
 def check_coding(motion: Motion, model: str, learned: prior.Prior) -> None:
-    """The motion is coded with the learned prior, and decodes within the bound."""
+    """Checks that the motion uses the learned prior and decodes within the bound."""
     encoded = Tempo(max_error=BOUND_M, model=model).encode_chunks(motion)
     header = StreamHeader.unpack(encoded.shared, motion.points)
     assert header.model == model

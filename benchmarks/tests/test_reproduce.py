@@ -1,4 +1,4 @@
-"""The stored tables are those of the stored results, and every command can be found."""
+"""The stored tables agree with the stored results, and every command exists."""
 
 from __future__ import annotations
 

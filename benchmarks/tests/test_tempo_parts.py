@@ -14,7 +14,7 @@ MARKERS = ["C7", "LSHO", "RSHO", "LFWT", "RFWT", "LKNE", "LHEE", "RTOE"]
 
 
 def turning_person() -> Motion:
-    """Eight markers, y up, that turn about the vertical axis by half a turn."""
+    """Eight markers, y up, which rotate half a turn about the vertical axis."""
     motion = synthetic.markers(frames=96, seed=4).select(MARKERS)
     turned = heading.rotate(heading.to_y_up(motion.positions, motion.up), np.linspace(0, np.pi, 96))
     return Motion(turned, motion.rate, motion.names, "y")

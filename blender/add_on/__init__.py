@@ -1,7 +1,7 @@
 """Blender add-on: File > Import > Motion (.mocz), File > Export > Motion (.mocz).
 
-Recordings with rotations become an armature, other recordings an empty for each point. Gaps are kept: an empty is
-hidden where its point is missing.
+Recordings with rotations become an armature, other recordings an empty for each point. Gaps remain: an empty is hidden
+while its point is missing.
 """
 
 from __future__ import annotations
@@ -16,11 +16,11 @@ EXTENSIONS = "*.mocz;*.c3d;*.trc;*.bvh;*.amc;*.npz;*.npy;*.sto;*.mot;*.csv"
 
 
 class ImportMotion(bpy.types.Operator, ImportHelper):
-    """Import a recording: an armature where it has rotations, otherwise an empty for each point"""
+    """Import a recording: an armature if it has rotations, otherwise an empty for each point"""
 
     bl_idname = "import_anim.mocz"
     bl_label = "Import motion"
-    bl_options = {"REGISTER", "UNDO"}  # noqa: RUF012 - a class attribute that Blender reads
+    bl_options = {"REGISTER", "UNDO"}  # noqa: RUF012 - Blender reads this class attribute
 
     filename_ext = ".mocz"
     filter_glob: StringProperty(default=EXTENSIONS, options={"HIDDEN"})

@@ -1,4 +1,4 @@
-"""Animation curves of many keys at once. Blender 5 has layered actions only; 4.2 to 4.5 have both kinds."""
+"""Animation curves with many keys. Blender 5 has only layered actions; 4.2 to 4.5 have both kinds."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ LINEAR = 1
 
 
 def action_for(owner: bpy.types.ID, name: str) -> bpy.types.Action:
-    """A new action of an object."""
+    """Creates an action for an object."""
     owner.animation_data_create()
     action = bpy.data.actions.new(name)
     owner.animation_data.action = action
@@ -19,7 +19,7 @@ def action_for(owner: bpy.types.ID, name: str) -> bpy.types.Action:
 
 
 def add(owner: bpy.types.ID, path: str, index: int, frames: np.ndarray, values: np.ndarray, group: str) -> None:
-    """A curve of one property with linear keys at these frames."""
+    """Adds a curve of one property, with linear keys at these frames."""
     action = owner.animation_data.action
     if hasattr(action, "fcurves"):
         curve = action.fcurves.new(path, index=index, action_group=group)
@@ -33,7 +33,7 @@ def add(owner: bpy.types.ID, path: str, index: int, frames: np.ndarray, values: 
 
 
 def curve_of(owner: bpy.types.ID, path: str) -> bpy.types.FCurve | None:
-    """The curve of a property without index, if it has one."""
+    """The curve of a property without index; None without a curve."""
     data = owner.animation_data
     if data is None or data.action is None:
         return None

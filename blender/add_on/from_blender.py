@@ -1,4 +1,4 @@
-"""The active armature, or the selected empties, as a Motion: every frame of the scene's range, with all constraints."""
+"""Converts the active armature or the selected empties to a Motion: all frames of the scene, with constraints."""
 
 from __future__ import annotations
 
@@ -11,16 +11,16 @@ from . import curves
 
 
 def motion_of(context: bpy.types.Context, scale: float) -> mocodec.Motion:
-    """The motion of what is selected: the active armature, or empties, of a recording all of them.
+    """The motion of the active armature, or of the selected empties. Of an imported recording, all empties count.
 
-    scale: Blender units a metre. Raises BadInput if nothing suits.
+    scale: Blender units a metre. Raises BadInput without a suitable selection.
     """
     active = context.view_layer.objects.active
     chosen = {o for o in context.selected_objects if o.type == "EMPTY"}
     if active is not None and active.type == "ARMATURE" and not chosen:
         return of_armature(context, active, scale)
     for collection in {c for empty in chosen if "mocodec_point" in empty for c in empty.users_collection}:
-        chosen |= {o for o in collection.objects if "mocodec_point" in o}  # hidden ones cannot be selected
+        chosen |= {o for o in collection.objects if "mocodec_point" in o}  # users cannot select hidden ones
     if chosen:
         ordered = sorted(chosen, key=lambda o: (o.get("mocodec_point", 1 << 30), o.name))
         return of_empties(context, ordered, scale)
@@ -33,7 +33,7 @@ def rate_of(scene: bpy.types.Scene) -> float:
 
 
 def of_armature(context: bpy.types.Context, owner: bpy.types.Object, scale: float) -> mocodec.Motion:
-    """Joints at the heads of all bones, parents first, with rotations relative to the rest pose."""
+    """The motion of an armature: joints at the heads of bones, parents first; rotations relative to the rest pose."""
     scene = context.scene
     bones = parents_first(owner.data.bones)
     number = {bone.name: joint for joint, bone in enumerate(bones)}
@@ -44,7 +44,7 @@ def of_armature(context: bpy.types.Context, owner: bpy.types.Object, scale: floa
     frames = range(scene.frame_start, scene.frame_end + 1)
     world = np.empty((len(frames), len(bones), 4, 4))
     before = scene.frame_current
-    for row, frame in enumerate(frames):  # only Blender can evaluate its constraints, frame by frame
+    for row, frame in enumerate(frames):  # Blender evaluates constraints frame by frame
         scene.frame_set(frame)
         placed = np.array(owner.matrix_world)
         world[row] = placed @ np.array([owner.pose.bones[bone.name].matrix for bone in bones])
@@ -62,7 +62,7 @@ def of_armature(context: bpy.types.Context, owner: bpy.types.Object, scale: floa
 
 
 def parents_first(bones: bpy.types.ArmatureBones) -> list[bpy.types.Bone]:
-    """In the order of the joints they were imported from, if that puts parents first; else depth first."""
+    """Bones in the order of their imported joints, if that puts parents first; otherwise depth first."""
     listed = sorted(bones, key=lambda bone: bone.get("mocodec_joint", 1 << 30))
     seen: set[str] = set()
     for bone in listed:
@@ -81,7 +81,7 @@ def parents_first(bones: bpy.types.ArmatureBones) -> list[bpy.types.Bone]:
 
 
 def names_of(bone: bpy.types.Bone, stored: list[str] | None) -> str:
-    """The name of the joint that a bone was imported from, unless it was renamed."""
+    """The original name of an imported joint; the bone's name if it was renamed."""
     joint = bone.get("mocodec_joint")
     if stored is None or joint is None or joint >= len(stored):
         return bone.name
@@ -89,7 +89,7 @@ def names_of(bone: bpy.types.Bone, stored: list[str] | None) -> str:
 
 
 def unique(names: list[str]) -> tuple[str, ...]:
-    """The names, with a number where one repeats another."""
+    """The names, with numbers at repeated names."""
     result: list[str] = []
     for name in names:
         candidate, times = name, 2
@@ -100,7 +100,7 @@ def unique(names: list[str]) -> tuple[str, ...]:
 
 
 def unit(matrices_: np.ndarray) -> np.ndarray:
-    """Matrices (…, 3, 3) without scale."""
+    """Rotation matrices (…, 3, 3): the matrices without scale."""
     return matrices_ / np.linalg.norm(matrices_, axis=-2, keepdims=True)
 
 
@@ -128,7 +128,7 @@ def quaternions(rotations: np.ndarray) -> np.ndarray:
     )
     found = np.copysign(size, signs)
     largest = size.argmax(axis=-1)
-    half_turn = size[..., 0] < 1e-4  # signs of a half turn: relative to the largest component
+    half_turn = size[..., 0] < 1e-4  # at a half turn, signs are relative to the largest component
     if half_turn.any():
         found[half_turn] = _half_turns(m[half_turn], size[half_turn], largest[half_turn])
     return found / np.linalg.norm(found, axis=-1, keepdims=True)
@@ -146,7 +146,7 @@ def _half_turns(m: np.ndarray, size: np.ndarray, largest: np.ndarray) -> np.ndar
 
 
 def of_empties(context: bpy.types.Context, empties: list[bpy.types.Object], scale: float) -> mocodec.Motion:
-    """A point for each empty; missing where the empty is hidden by its curve."""
+    """The motion of empties: a point for each, missing while its curve hides the empty."""
     scene = context.scene
     frames = range(scene.frame_start, scene.frame_end + 1)
     positions = np.empty((len(frames), len(empties), 3))
@@ -168,7 +168,7 @@ def of_empties(context: bpy.types.Context, empties: list[bpy.types.Object], scal
 
 
 def held(curve: bpy.types.FCurve, frames: range) -> list[float]:
-    """For each frame the key at or before it: visibility changes at keys, and is not interpolated."""
+    """For each frame, the value of the key at or before it: visibility is not interpolated."""
     keys = np.array([key.co[0] for key in curve.keyframe_points])
     place = np.maximum(np.searchsorted(keys, np.array(frames) + 1e-3) - 1, 0)
     return keys[place].tolist()

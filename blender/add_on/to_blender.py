@@ -1,7 +1,7 @@
-"""A Motion as an armature or as empties.
+"""Converts a Motion to an armature or to empties.
 
-A joint of mocodec has, at rest, the axes of the world; a bone of Blender points along its own y. With B the rest
-orientation of a bone, a rotation R relative to the parent becomes B⁻¹ · R · B in the bone's own axes.
+At rest, a joint of mocodec has the world's axes, and a bone of Blender points along its own y axis. With B the rest
+orientation of a bone, a rotation R relative to the parent becomes B⁻¹ · R · B in the bone's axes.
 """
 
 from __future__ import annotations
@@ -18,13 +18,13 @@ from . import curves
 LEAF_M = 0.05
 """Length of a bone without children, metres."""
 STILL_M = 1e-5
-"""Translations of joints that vary less than this have no curve, metres."""
+"""Translations of joints that vary less than this get no curve, metres."""
 
 
 def add(
     context: bpy.types.Context, motion: mocodec.Motion, name: str, scale: float, as_empties: bool, set_scene: bool
 ) -> str:
-    """Add a motion to the scene; returns what was added, in words. scale: Blender units a metre."""
+    """Add a motion to the scene; returns a description. scale: Blender units a metre."""
     motion = motion.turned("z")
     if set_scene:
         rate = motion.rate
@@ -39,7 +39,7 @@ def add(
 
 
 def add_armature(context: bpy.types.Context, motion: mocodec.Motion, name: str, scale: float) -> bpy.types.Object:
-    """An armature with a bone for each joint, and its action."""
+    """Adds an armature with a bone for each joint, and its action."""
     armature = bpy.data.armatures.new(name)
     owner = bpy.data.objects.new(name, armature)
     context.collection.objects.link(owner)
@@ -72,7 +72,7 @@ def add_armature(context: bpy.types.Context, motion: mocodec.Motion, name: str, 
 
 
 def add_bones(owner: bpy.types.Object, skeleton: mocodec.Skeleton, scale: float) -> None:
-    """Bones from joint to child, in edit mode. Each bone remembers the number of its joint: names may be cut."""
+    """Adds bones from joint to child, in edit mode. A bone stores its joint's number, since Blender may cut names."""
     heads = np.zeros((len(skeleton), 3))
     for joint, parent in enumerate(skeleton.parents):
         heads[joint] = skeleton.offsets[joint] + (heads[parent] if parent >= 0 else 0)
@@ -99,7 +99,7 @@ def add_bones(owner: bpy.types.Object, skeleton: mocodec.Skeleton, scale: float)
 
 
 def own_axes(quaternions: np.ndarray, rest: np.ndarray) -> np.ndarray:
-    """Rotations (frames, 4; w first) in a bone's own axes: the vector part turned by B⁻¹. Signs do not jump."""
+    """Rotations (frames, 4; w first) in a bone's axes: B⁻¹ rotates the vector part. Signs do not jump."""
     turned = quaternions.copy()
     turned[:, 1:] = quaternions[:, 1:] @ rest
     flips = np.cumprod(np.where((turned[1:] * turned[:-1]).sum(axis=1) < 0, -1.0, 1.0))
@@ -108,7 +108,7 @@ def own_axes(quaternions: np.ndarray, rest: np.ndarray) -> np.ndarray:
 
 
 def translations(motion: mocodec.Motion, joint: int, parent: int) -> np.ndarray:
-    """How far a joint is from where its offset puts it, in the axes of its parent, (frames, 3), metres."""
+    """Translation of a joint from its offset's position, in the axes of its parent, (frames, 3), metres."""
     if parent < 0:
         moved = motion.positions[:, joint] - motion.skeleton.offsets[joint]
     else:
@@ -122,7 +122,7 @@ _last: tuple[object, np.ndarray] | None = None
 
 
 def world_rotations(motion: mocodec.Motion) -> np.ndarray:
-    """Rotations of all joints in the world, matrices (frames, joints, 3, 3); kept for the last motion."""
+    """World rotations of all joints, matrices (frames, joints, 3, 3); cached for the last motion."""
     global _last
     if _last is None or _last[0] is not motion:
         world = np.empty((len(motion), motion.points, 3, 3))
@@ -145,7 +145,7 @@ def matrices(quaternions: np.ndarray) -> np.ndarray:
 
 
 def add_empties(context: bpy.types.Context, motion: mocodec.Motion, name: str, scale: float) -> None:
-    """An empty for each point in a collection of its own; one whose point is missing is hidden."""
+    """Adds a collection with an empty for each point; an empty is hidden while its point is missing."""
     collection = bpy.data.collections.new(name)
     context.scene.collection.children.link(collection)
     frames = np.arange(1, len(motion) + 1, dtype=np.float64)

@@ -19,6 +19,8 @@ DEFAULT_CODECS = ("tempo", "bodycast")
 """The codecs that are used by default: for motion, and for point clouds."""
 ATTEMPTS = 5
 """How often a recording is encoded to meet a size or a ratio."""
+EASIER = {"size": "larger size", "ratio": "smaller ratio"}
+"""What a user can ask for where a target cannot be met."""
 SMALLEST_FILE_BYTES = 64
 """About how many bytes a file takes at least, without its extras."""
 
@@ -41,7 +43,13 @@ def pack(codec: Codec[RecordingT], recording: RecordingT, signal_error: str | No
     if target == "size":
         _require_room(recording, codec)
     with progress_.attempt(0):
-        encoded = _with_promises(_encoded(codec, recording), promised)
+        try:
+            encoded = _with_promises(_encoded(codec, recording), promised)
+        except CannotEncode as error:
+            wanted = f"{target} of {getattr(codec, target):,g}"
+            raise CannotEncode(
+                f"{codec.name} cannot encode this at a {wanted} ({error}): ask for a {EASIER[target]}"
+            ) from error
     blob, settings, value = container.pack(encoded), encoded.settings, getattr(codec, target)
     target_bytes: float = value if target == "size" else recording.raw_bytes / value
     limit = target_bytes + (extras_bytes(blob) if target == "ratio" else 0)
@@ -59,7 +67,7 @@ def pack(codec: Codec[RecordingT], recording: RecordingT, signal_error: str | No
         return blob
     raise CannotEncode(
         f"{codec.name} cannot encode this to a file of {limit:,.0f} bytes, only of {len(blob):,}: "
-        f"ask for a {'larger size' if target == 'size' else 'smaller ratio'}"
+        f"ask for a {EASIER[target]}"
     )
 
 

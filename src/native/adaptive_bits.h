@@ -2,7 +2,7 @@
 //
 //     contexts ─counters─► probabilities ─stretch, weigh, squash─► one probability ─range coder─► bytes
 //
-// docs/payloads/tempo-lattice.md specifies it; entropy/adaptive_bits.py is the same in Python.
+// docs/payloads/tempo-lattice.md specifies it; entropy/adaptive_bits.py implements it in Python.
 #pragma once
 
 #include <algorithm>
@@ -22,7 +22,7 @@ constexpr int MIXERS = 1 << 11;       // sets of weights
 constexpr int32_t FIRST_WEIGHT = 18350;  // 0.28 · 2^16
 constexpr int32_t LARGEST_WEIGHT = 1 << 22;
 constexpr int LEARNING = 3;           // rate of the weights
-constexpr int SLOWEST = 250;          // bits after which a counter's rate stays
+constexpr int SLOWEST = 250;          // bits after which a counter's rate stays constant
 constexpr int HALF = 1 << 15;         // probability 1/2
 
 // From Python: probabilities (4096) of stretched values, the inverse, counters' rates, bit costs in 1/256 bit.
@@ -35,7 +35,7 @@ struct Counter {
     uint16_t seen = 0;
 };
 
-// A bit's probability of being 1, in 2^-16, and what it was mixed from.
+// The probability p of a 1, in 2^-16, and the counters, inputs and weights that give it.
 struct Mixed {
     Counter *from[INPUTS];
     int32_t stretched[INPUTS];
@@ -52,18 +52,18 @@ public:
         std::copy(tables.rate, tables.rate + SLOWEST + 1, rate_);
     }
 
-    // What another one has learned, with tables of the same content.
+    // A copy of another mixer's state, with tables of the same content.
     Mixer(const Mixer &other, const Tables &tables) : Mixer(tables) {
         counters_ = other.counters_;
         weights_ = other.weights_;
     }
 
-    // The contexts of the bits that follow.
+    // Sets the contexts of the next bits.
     void contexts(const uint32_t *c) {
         for (int i = 0; i < INPUTS; ++i) hashed_[i] = c[i] * 257u * HASH;
     }
 
-    // Fetches the counters of a bit that is likely to follow.
+    // Prefetches the counters of a likely next bit.
     void prefetch(uint32_t kind) const {
 #if defined(__GNUC__)
         for (int i = 0; i < INPUTS; ++i) __builtin_prefetch(&counters_[slot(i, kind * HASH)], 1);
@@ -72,7 +72,7 @@ public:
 #endif
     }
 
-    // kind: what the bit says; set: of weights.
+    // Mixes the probability of a bit. kind: of the bit; set: of weights.
     int32_t mix(Mixed &m, uint32_t kind, uint32_t set) {
         uint32_t counters[INPUTS];
         const uint32_t hashed = kind * HASH;
@@ -87,7 +87,7 @@ public:
 
     static uint32_t counter_of(int input, uint32_t context) { return uint32_t(input * SLOTS) + (context * 257u * HASH >> 17); }
 
-    // Fetches counters that a bit is likely to need.
+    // Prefetches counters of a likely next bit.
     void fetch(const uint32_t *counters) const {
 #if defined(__GNUC__)
         for (int i = 0; i < INPUTS; ++i) __builtin_prefetch(&counters_[counters[i]], 1);
@@ -96,7 +96,7 @@ public:
 #endif
     }
 
-    // As `mix`, of the counters that `counters_of` names.
+    // `mix` with counters from `counters_of`.
     int32_t mix_with(Mixed &m, const uint32_t *counters, uint32_t set) {
         int64_t sum = 0;
         m.weights = &weights_[(set % MIXERS) * INPUTS];
@@ -121,13 +121,13 @@ public:
         }
     }
 
-    // Mixes as `mix_with`, takes the bit that `bit_of` returns for its probability of being 1, and learns it.
+    // Codes a bit: `mix_with`, then bit_of(probability of a 1) returns the bit, which is learned.
     template <class BitOf>
     int code(const uint32_t *counters, uint32_t set, BitOf bit_of) {
         Mixed mixed;
         const int bit = bit_of(mix_with(mixed, counters, set));
         const int32_t error = ((bit << 16) - mixed.p) * LEARNING;
-        uint32_t above = 0;  // bits beyond LARGEST_WEIGHT, or at it
+        uint32_t above = 0;  // has high bits if a weight is out of range
         for (int i = 0; i < INPUTS; ++i) {
             mixed.weights[i] += mixed.stretched[i] * error >> 16;
             above |= uint32_t(mixed.weights[i] + LARGEST_WEIGHT);
@@ -142,8 +142,8 @@ public:
 
 private:
 #if defined(__SSE2__)
-    // A counter is one lane: p in its lower half, the bits seen above. A step towards 0 is rounded away from p, one towards
-    // 65535 down: that is the same step of 65535 − p without the rounding.
+    // A counter is one lane: p in its lower half, the number of bits in the upper. A step towards 0 is rounded up, a
+    // step towards 65535 down: the latter is the step of 65535 − p towards 0 without rounding up.
     void learn_counters(Counter *const *from, int bit) {
         static_assert(INPUTS == 5 && sizeof(Counter) == 4, "lanes of five counters");
         const auto lane = [&](int i) {
@@ -196,12 +196,12 @@ private:
     std::vector<Counter> counters_;
     std::vector<int32_t> weights_;
     uint32_t hashed_[INPUTS] = {};
-    // Narrow copies: they share the processor's nearest cache with the counters.
+    // Narrow copies, since they share the L1 cache with the counters.
     uint16_t squash_[4096], rate_[SLOWEST + 1];
     int16_t stretch_[4096];
 };
 
-// Binary range coder of 32 bits without carry.
+// 32-bit binary range coder without carry.
 class Encoder {
 public:
     void bit(int bit, int32_t p) {
@@ -213,7 +213,7 @@ public:
 
     size_t size() const { return out_.size(); }
 
-    // Ends with as few bytes as decode right when zeros follow.
+    // Ends with the fewest bytes that decode correctly if zeros follow.
     std::vector<uint8_t> finish() {
         for (int bytes = low_ ? 1 : 0; bytes; ++bytes) {
             const uint64_t unit = uint64_t(1) << (32 - 8 * bytes);
@@ -255,9 +255,9 @@ public:
         return bit;
     }
 
-    // Whether all bytes were read, and no more than the four beyond the end that a decoder holds.
+    // Whether all bytes were read, and at most four beyond the end, which a decoder reads ahead.
     bool at_end() const { return at_ >= size_ && at_ <= size_ + 4; }
-    // Bytes read beyond the end: more than four show a stream that is cut off.
+    // Whether the stream is cut off: more than four bytes were read beyond the end.
     bool exhausted() const { return at_ > size_ + 4; }
 
 private:

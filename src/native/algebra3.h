@@ -25,7 +25,7 @@ inline void transform(const double *m, const double *v, double *out) {
     for (int i = 0; i < 3; ++i) out[i] = dot(m + 3 * i, v);
 }
 
-// out = mᵀ v: the inverse of `transform` where m is a rotation.
+// out = mᵀ v: the inverse of `transform` if m is a rotation.
 inline void transform_back(const double *m, const double *v, double *out) {
     for (int i = 0; i < 3; ++i) out[i] = m[i] * v[0] + m[3 + i] * v[1] + m[6 + i] * v[2];
 }
@@ -40,7 +40,7 @@ inline void multiply(const double *p, const double *q, double *out, bool transpo
         }
 }
 
-// Rotation matrix of a rotation vector, radians: Rodrigues' formula, as articulation.exp.
+// Rotation matrix of a rotation vector, radians, by Rodrigues' formula: articulation.exp.
 inline void exponential(const double *vector, double *out) {
     const double angle = std::sqrt(dot(vector, vector));
     const bool small = angle < 1e-6;
@@ -53,7 +53,7 @@ inline void exponential(const double *vector, double *out) {
     for (int i = 0; i < 9; ++i) out[i] = (i % 4 == 0) + s * k[i] + c * kk[i];
 }
 
-// Rotation vector of a rotation matrix, through the quaternion component of largest magnitude, as articulation.log.
+// Rotation vector of a rotation matrix, through the largest quaternion component: articulation.log.
 inline void logarithm(const double *m, double *out) {
     const double trace = m[0] + m[4] + m[8];
     const double squares[4] = {1 + trace, 1 - trace + 2 * m[0], 1 - trace + 2 * m[4], 1 - trace + 2 * m[8]};
@@ -61,7 +61,7 @@ inline void logarithm(const double *m, double *out) {
     const double x[4] = {w[1], squares[1], m[1] + m[3], m[2] + m[6]};
     const double y[4] = {w[2], x[2], squares[2], m[5] + m[7]};
     const double z[4] = {w[3], x[3], y[3], squares[3]};
-    const double *const multiples[4] = {w, x, y, z};  // of the same quaternion
+    const double *const multiples[4] = {w, x, y, z};  // multiples of one quaternion
     const double *best = multiples[std::max_element(squares, squares + 4) - squares];
     const double norm = std::sqrt(best[0] * best[0] + dot(best + 1, best + 1)) * (best[0] < 0 ? -1 : 1);
     const double q[4] = {best[0] / norm, best[1] / norm, best[2] / norm, best[3] / norm};

@@ -9,7 +9,7 @@
 
 namespace nb = nanobind;
 
-// An array that a kernel reads. An array of another type or memory order is converted to a copy.
+// An array that a kernel reads. nanobind converts arrays of another type or memory order to a copy.
 template <class T, int Axes>
 using Input = nb::ndarray<const T, nb::ndim<Axes>, nb::c_contig, nb::device::cpu>;
 

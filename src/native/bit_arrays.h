@@ -1,5 +1,5 @@
-// Arrays of bits through the adaptive coder of adaptive_bits.h. A kernel that codes a structure bit by bit takes one of
-// these coders from Python and calls `code`.
+// Codes arrays of bits with the adaptive coder of adaptive_bits.h. Kernels that code a structure bit by bit take one of
+// these coders from Python and call `code`.
 #pragma once
 
 #include <stdexcept>
@@ -13,7 +13,7 @@ using Table = Input<int32_t, 1>;
 using Contexts = Input<uint32_t, 2>;
 using Sets = Input<uint32_t, 1>;
 
-// Owns copies of the tables, so that the arrays may go.
+// Owns copies of the tables, so that Python may free the arrays.
 struct OwnTables {
     std::vector<int32_t> squash, stretch, rate, cost;
 
@@ -21,7 +21,7 @@ struct OwnTables {
         : squash(a.data(), a.data() + a.shape(0)), stretch(b.data(), b.data() + b.shape(0)),
           rate(c.data(), c.data() + c.shape(0)), cost(d.data(), d.data() + d.shape(0)) {
         if (squash.size() != 4096 || stretch.size() != 4096 || cost.size() != 4096 || rate.size() <= size_t(bits::SLOWEST))
-            throw std::invalid_argument("bit arrays: tables of other sizes");
+            throw std::invalid_argument("bit arrays: tables of wrong sizes");
     }
 
     bits::Tables pointers() const { return {squash.data(), stretch.data(), rate.data(), cost.data()}; }
@@ -38,11 +38,11 @@ public:
     BitArrayEncoder(Table squash, Table stretch, Table rate, Table cost)
         : tables_(squash, stretch, rate, cost), mixer_(tables_.pointers()) {}
 
-    // A copy with all that was learned and coded.
+    // A copy with the same learned state and output.
     BitArrayEncoder(const BitArrayEncoder &other)
         : tables_(other.tables_), mixer_(other.mixer_, tables_.pointers()), encoder_(other.encoder_) {}
 
-    // Whole bytes so far.
+    // Number of whole bytes so far.
     size_t size() const { return encoder_.size(); }
 
     void encode(Contexts contexts, Sets sets, Input<uint8_t, 1> values) {
@@ -55,7 +55,7 @@ public:
     // Fetches counters (INPUTS) of a bit to come.
     void fetch(const uint32_t *counters) { mixer_.fetch(counters); }
 
-    // Codes one bit with these counters, as bits::Mixer::counters_of, and this weight set; returns it.
+    // Codes one bit with counters from bits::Mixer::counters_of and a weight set; returns the bit.
     int code_with(const uint32_t *counters, uint32_t set, int bit) {
         return mixer_.code(counters, set, [&](int32_t p) {
             encoder_.bit(bit, p);
@@ -98,12 +98,12 @@ public:
     // Fetches counters (INPUTS) of a bit to come.
     void fetch(const uint32_t *counters) { mixer_.fetch(counters); }
 
-    // As BitArrayEncoder::code_with; the bit that is given has no meaning.
+    // Decodes one bit; signature of BitArrayEncoder::code_with. Ignores the last argument.
     int code_with(const uint32_t *counters, uint32_t set, int) {
         return mixer_.code(counters, set, [&](int32_t p) { return decoder_.bit(p); });
     }
 
-    // Decodes one bit with these INPUTS contexts.
+    // Decodes one bit with these INPUTS contexts. Ignores the last argument.
     int code(const uint32_t *contexts, uint32_t set, int) {
         uint32_t counters[bits::INPUTS];
         bits::Mixer::counters_of(contexts, counters);
@@ -120,7 +120,7 @@ private:
     bits::Decoder decoder_;
 };
 
-// Whether the bytes have ended before the bits: never in an encoder.
+// Whether the bytes ended before the bits; never in an encoder.
 inline bool is_cut_off(const BitArrayEncoder &) { return false; }
 inline bool is_cut_off(const BitArrayDecoder &decoder) { return decoder.exhausted(); }
 

@@ -8,8 +8,8 @@
 
 namespace {
 
-// body_frame.to_world of poses (frames, 3 columns) into these columns of positions (frames, points, 3). origin (frames, 3);
-// heading (frames, 2); up: the vertical axis.
+// body_frame.to_world: writes poses (frames, 3 columns) to these columns of positions (frames, points, 3). origin
+// (frames, 3); heading (frames, 2); up: the vertical axis.
 void place_in_world(Input<double, 2> poses, Input<int64_t, 1> columns, Input<double, 2> origin, Input<double, 2> heading,
                     size_t up, InPlace<double, 3> positions) {
     const body_frames::World world(columns, origin, heading, up, positions);
@@ -18,7 +18,7 @@ void place_in_world(Input<double, 2> poses, Input<int64_t, 1> columns, Input<dou
     for (size_t t = 0; t < poses.shape(0); ++t) world.place(t, poses.data() + t * width);
 }
 
-// The inverse: body_frame.to_body of these columns of positions (frames, points, 3), as poses (frames, 3 columns).
+// body_frame.to_body: poses (frames, 3 columns) from these columns of positions (frames, points, 3).
 Output<double> place_in_body(Input<double, 3> positions, Input<int64_t, 1> columns, Input<double, 2> origin,
                              Input<double, 2> heading, size_t up) {
     const size_t frames = positions.shape(0), count = columns.shape(0), points = positions.shape(1);
@@ -52,7 +52,7 @@ Output<int64_t> nearest_earlier(Input<int64_t, 2> pose) {
         int64_t best = std::numeric_limits<int64_t>::max();
         out.data[i] = 0;
         for (size_t j = 0; j < i; ++j) {
-            uint64_t square = 0;  // wraps around as NumPy's integers do
+            uint64_t square = 0;  // wraps around like NumPy's integers
             for (size_t d = 0; d < 3; ++d) {
                 const uint64_t off = uint64_t(pose.data()[3 * i + d]) - uint64_t(pose.data()[3 * j + d]);
                 square += off * off;

@@ -1,4 +1,4 @@
-// Where poses in the body's frame are in the world: geometry/body_frame.py, to_world.
+// Transforms poses from the body's frame to the world: geometry/body_frame.py, to_world.
 #pragma once
 
 #include <stdexcept>
@@ -7,7 +7,7 @@
 
 namespace body_frames {
 
-// Some columns of positions (frames, points, 3). origin (frames, 3); heading (frames, 2); up: the vertical axis.
+// Writes some columns of positions (frames, points, 3). origin (frames, 3); heading (frames, 2); up: the vertical axis.
 class World {
 public:
     World(const Input<int64_t, 1> &columns, const Input<double, 2> &origin, const Input<double, 2> &heading, size_t up,
@@ -22,7 +22,7 @@ public:
             if (size_t(columns.data()[i]) >= points_) throw std::invalid_argument("body frames: no such point");
     }
 
-    // The pose (columns, 3) of one frame.
+    // Writes the pose (columns, 3) of one frame.
     void place(size_t frame, const double *pose) const {
         const size_t a = (up_ + 1) % 3, b = (up_ + 2) % 3;
         const double cosine = heading_[2 * frame], sine = -heading_[2 * frame + 1], *from = origin_ + 3 * frame;

@@ -1,4 +1,4 @@
-// codecs/tempo/pose/bone_directions.py, forward: the kernel; bone_coordinates.h does the work.
+// Kernel of codecs/tempo/pose/bone_directions.py, forward; bone_coordinates.h implements it.
 
 #include <stdexcept>
 
@@ -18,7 +18,7 @@ WITH_AVX2 void run_with_avx2(const Schedule &of, const Positions &positions, dou
 #endif
 
 // Coordinates (dimensions, frames) of positions (3, points, frames). program, rests, homes: BoneSchedule.program; order
-// (bones,); joints (bones,): where each bone in schedule order ends; pairs (hubs, 2), pair_frames (hubs, 3, 3): of Hub.
+// (bones,); joints (bones,): end joint of each bone in schedule order; pairs (hubs, 2), pair_frames (hubs, 3, 3): of Hub.
 Output<double> tempo_bone_coordinates(Input<double, 3> positions, Input<int64_t, 1> parents, Input<int64_t, 2> program,
                                       Input<double, 3> rests, Input<double, 3> homes, Input<int64_t, 1> order,
                                       Input<int64_t, 1> joints, Input<int64_t, 2> pairs, Input<double, 3> pair_frames) {
@@ -37,7 +37,7 @@ Output<double> tempo_bone_coordinates(Input<double, 3> positions, Input<int64_t,
     for (size_t b = 0; fits && b < of.bones; ++b)
         fits = of.order[b] >= 0 && of.order[b] < bones && is_joint(of.joints[b]);
     for (size_t i = 0; fits && i < 2 * of.hubs; ++i) fits = is_joint(of.pairs[i]);
-    if (!fits) throw std::invalid_argument("tempo_bone_coordinates: a tree that does not fit");
+    if (!fits) throw std::invalid_argument("tempo_bone_coordinates: the tree does not match");
     const size_t frames = positions.shape(2), dimensions = 2 * of.bones + 3 * of.hubs;
     const Positions from{positions.data(), positions.shape(1), frames};
     Fresh<double> out(dimensions * frames);

@@ -1,5 +1,5 @@
-// codecs/tempo/pose/bone_directions.py, forward: coordinates of bones and hubs from positions, four frames at a time. They
-// agree with NumPy's to rounding.
+// Coordinates of bones and hubs from positions, four frames at a time: codecs/tempo/pose/bone_directions.py, forward.
+// They agree with NumPy's up to rounding.
 #pragma once
 
 #include <algorithm>
@@ -16,7 +16,7 @@ using namespace rotations4;
 constexpr double PI = 3.14159265358979323846;
 constexpr double TINY = 1e-8;  // rotations._ratio
 
-// BoneSchedule, and what its inverse needs: `joints` of the bones in schedule order, the two bones of each hub's pair.
+// BoneSchedule; `joints`: end joints of the bones in schedule order; `pairs`: the two bones of each hub's pair.
 struct Schedule {
     const int64_t *program, *order, *joints, *parents, *pairs;
     const double *rests, *homes, *pair_frames;
@@ -27,7 +27,7 @@ struct Positions {
     const double *data;  // (3, points, frames)
     size_t points, frames;
 
-    // From a joint's parent to the joint, in four frames from `first` on; the last frame stands for those behind it.
+    // Vector from a joint's parent to the joint, in four frames from `first` on; beyond the end the last frame repeats.
     ALWAYS_INLINE void offset(int64_t joint, int64_t parent, size_t first, Four *out) const {
         for (size_t k = 0; k < 3; ++k) {
             const double *to = data + (k * points + size_t(joint)) * frames;
@@ -47,7 +47,7 @@ struct Positions {
     }
 };
 
-// rotations.vector_of of one matrix, by rows.
+// rotations.vector_of for one matrix, row by row.
 inline void vector_of(const double (&m)[3][3], double *out) {
     const double trace = m[0][0] + m[1][1] + m[2][2];
     const double w[3] = {m[2][1] - m[1][2], m[0][2] - m[2][0], m[1][0] - m[0][1]};
@@ -77,7 +77,7 @@ inline void to_unit(double *v) {
     for (size_t k = 0; k < 3; ++k) v[k] /= length;
 }
 
-// The rotation of a hub whose pair of bones points along `pair`: rotations.frame_of_pair, vector_of.
+// The rotation of a hub from the directions `pair` of its pair of bones: rotations.frame_of_pair, vector_of.
 inline void hub_rotation(const Four (&pair)[2][3], size_t lane, const double *pair_frame, double *out) {
     double a[3], b[3], axes[3][3], matrix[3][3];
     for (size_t k = 0; k < 3; ++k) a[k] = pair[0][k][lane], b[k] = pair[1][k][lane];
@@ -93,7 +93,7 @@ inline void hub_rotation(const Four (&pair)[2][3], size_t lane, const double *pa
     vector_of(matrix, out);
 }
 
-// Four frames of all coordinates, (dimensions, 4), in the order of the tree.
+// All coordinates of four frames, (dimensions, 4), in the order of the tree.
 ALWAYS_INLINE void coordinates(const Schedule &of, const Positions &positions, size_t first, Four *frames, Four *out) {
     for (size_t step = 0; step < of.steps; ++step) {
         const int64_t *p = of.program + 6 * step;
@@ -154,7 +154,7 @@ ALWAYS_INLINE void all_coordinates(const Schedule &of, const Positions &position
     }
 }
 
-// rotations.unwrapped of one vector of `size` numbers, (size, frames).
+// rotations.unwrapped for one vector of `size` numbers, (size, frames).
 inline void unwrap(double *vector, size_t size, size_t frames) {
     bool odd = false;
     double before[3] = {};
@@ -173,7 +173,7 @@ inline void unwrap(double *vector, size_t size, size_t frames) {
     }
 }
 
-// Unwraps the vectors of all bones, then of all hubs: of coordinates (dimensions, frames).
+// Unwraps the vectors of all bones and hubs in coordinates (dimensions, frames).
 inline void unwrap_all(size_t bones, size_t hubs, double *coordinates, size_t frames) {
     for (size_t b = 0; b < bones; ++b) unwrap(coordinates + 2 * b * frames, 2, frames);
     for (size_t h = 0; h < hubs; ++h) unwrap(coordinates + (2 * bones + 3 * h) * frames, 3, frames);

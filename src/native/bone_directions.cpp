@@ -1,5 +1,5 @@
-// codecs/tempo/pose/bone_directions.py, _directions: unit directions of bones, given tilts and hub rotations. The same
-// operations in the same order as there. Sines and cosines come from NumPy, so that their last bits agree.
+// Unit directions of bones from tilts and hub rotations: codecs/tempo/pose/bone_directions.py, _directions, with the
+// same operations in the same order. Sines and cosines come from NumPy, so that their last bits agree.
 
 #include <algorithm>
 #include <stdexcept>
@@ -8,11 +8,11 @@
 
 namespace {
 
-constexpr size_t BLOCK = 64;  // frames worked on at a time, so that all frames of references stay in the cache
+constexpr size_t BLOCK = 64;  // frames at a time, so that the frames of all references fit into the cache
 
 using Block = double[BLOCK];
 
-// out = frame · vector for each frame of a block. A frame is its three axes, one after another: rotations.out_of.
+// out = frame · vector for each frame of a block: rotations.out_of. A rotation is stored as its three axes.
 void out_of(const Block *frame, const Block *vector, size_t n, Block *out) {
     for (size_t a = 0; a < 3; ++a)
         for (size_t f = 0; f < n; ++f) {
@@ -23,7 +23,7 @@ void out_of(const Block *frame, const Block *vector, size_t n, Block *out) {
         }
 }
 
-// The same with one constant frame.
+// `out_of` with one constant rotation.
 void out_of_one(const double *frame, const Block *vector, size_t n, Block *out) {
     for (size_t a = 0; a < 3; ++a)
         for (size_t f = 0; f < n; ++f) {
@@ -34,7 +34,7 @@ void out_of_one(const double *frame, const Block *vector, size_t n, Block *out) 
         }
 }
 
-// Frames of rotation vectors: rotations.frames_with.
+// Rotations of rotation vectors: rotations.frames_with.
 constexpr size_t PLUS[] = {5, 6, 1}, MINUS[] = {7, 2, 3};
 
 void frames_with(const Block *vector, const double *sine, const double *cosine, const double *versed, size_t n, Block *out) {
@@ -62,7 +62,7 @@ void tilted_direction(const double *rest, const double *x, const double *y, cons
         }
 }
 
-// All three axes of its frame: rotations.tilted_frames.
+// All three axes of a bone after a tilt: rotations.tilted_frames.
 void tilted_frame(const double *rest, const double *x, const double *y, const double *sine, const double *cosine,
                const double *versed, size_t n, Block *out) {
     for (size_t a = 0; a < 3; ++a)
@@ -80,7 +80,7 @@ void tilted_frame(const double *rest, const double *x, const double *y, const do
 }
 
 // Directions (3, bones and bones of hubs, frames). bones (2, bones, frames): tilts; hubs (3, hubs, frames): rotation
-// vectors; sines, cosines, verseds (bones + hubs, frames): rotations.SinCos; the rest: BoneSchedule.program.
+// vectors; sines, cosines, verseds (bones + hubs, frames): rotations.SinCos; other arguments: BoneSchedule.program.
 Output<double> tempo_bone_directions(Input<double, 3> bones, Input<double, 3> hubs, Input<double, 2> sines,
                            Input<double, 2> cosines, Input<double, 2> verseds, Input<int64_t, 2> program,
                            Input<double, 3> rests, Input<double, 3> homes, Input<double, 2> ends) {
@@ -102,7 +102,7 @@ Output<double> tempo_bone_directions(Input<double, 3> bones, Input<double, 3> hu
         const int64_t first = p[0] ? int64_t(of_bones) : 0, past = int64_t(p[0] ? directions : of_bones);
         if (p[1] < 0 || size_t(p[1]) >= (p[0] ? of_hubs : of_bones) || p[2] >= slots || p[4] < first || p[5] > past ||
             p[p[0] ? 3 : 5] <= (p[0] ? -1 : p[4]))
-            throw std::invalid_argument("tempo_bone_directions: a program that does not fit");
+            throw std::invalid_argument("tempo_bone_directions: the program does not match");
     }
     Fresh<double> out(3 * directions * frames);
     std::fill_n(out.data.get(), 3 * directions * frames, 0.0);

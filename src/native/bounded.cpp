@@ -10,7 +10,8 @@ namespace {
 
 constexpr double SQUARED_BOUND = 0.75;  // in lattice units
 
-// Samples of a point in a block of frames: errors in lattice units, lattice points nearest to them, corrections, all `pitch` apart.
+// Samples of a point in a block of frames, `pitch` apart: errors in lattice units,
+// their nearest lattice points, corrections.
 struct Track {
     const double *error;
     const int64_t *nearest;
@@ -18,8 +19,8 @@ struct Track {
     size_t frames, pitch;
 };
 
-// bounded._longest_lasting, of one lane. choices (count, 3): lattice points, the first of them zero. beyond: frames without an
-// error that follow in the block.
+// bounded._longest_lasting for one lane. choices (count, 3): lattice points, the first is zero. beyond: number of
+// frames without an error after the track in the block.
 class LongestLasting {
 public:
     explicit LongestLasting(const Input<int64_t, 2> &choices) : choices_(choices.data()), lasts_(choices.shape(0)) {
@@ -44,7 +45,7 @@ public:
     }
 
 private:
-    // The choice that is valid for the most frames from f on; the nearest lattice point where none is valid.
+    // Finds the choice that is valid for the most frames from f on; the nearest lattice point if none is valid.
     void find_best(const Track &of, size_t f) {
         const double *e = of.error + f * of.pitch;
         const double limit = SQUARED_BOUND - (e[0] * e[0] + e[1] * e[1] + e[2] * e[2]);
@@ -60,8 +61,8 @@ private:
     }
 
     const int64_t *choices_;
-    std::vector<double> squares_;  // of the lengths of the choices
-    std::vector<int> lasts_;       // frames for which each choice is valid
+    std::vector<double> squares_;  // squared lengths of the choices
+    std::vector<int> lasts_;       // number of frames for which each choice is valid
     std::vector<const int64_t *> best_;
 };
 

@@ -1,4 +1,4 @@
-// entropy/bulk.py: long arrays of integers to bytes and back, diagonal by diagonal. Integers of 16 and 32 bits, as there.
+// Codes long arrays of integers, diagonal by diagonal, with integers of 16 and 32 bits: entropy/bulk.py.
 
 #include <nanobind/stl/optional.h>
 
@@ -26,7 +26,7 @@ constexpr uint16_t ESCAPE = 255;
 constexpr int64_t MAX_TURNS = 15;
 constexpr unsigned TOO_WIDE = DIRECT + 4 * 30;  // tokens from here on have mantissas of 32 bits or more
 
-// Bits in a row, highest first; PADDING bytes of 0 must stand behind the end.
+// Reads bits, highest first. The data must have PADDING bytes of 0 after their end.
 class Bits {
 public:
     static constexpr size_t PADDING = 8;
@@ -43,7 +43,7 @@ public:
         return value;
     }
 
-    // Whether the next bit is 1; to be skipped with `at`.
+    // The next bit; advance `at` to skip it.
     uint32_t next() const { return data_[at / 8] >> (7 - at % 8) & 1; }
 
     bool rest_is_zero() {
@@ -60,7 +60,7 @@ public:
     size_t at = 0;
 };
 
-// bulk._unpack_states: the states, and how many bytes they took; none for bytes that no encoder writes.
+// bulk._unpack_states: reads the states and their number of bytes. False for bytes that no encoder writes.
 bool unpack_states(const uint8_t *data, size_t size, std::vector<uint32_t> &states, size_t &used) {
     const size_t n = states.size(), nibbles = (n + 1) / 2;
     if (size < nibbles || (n % 2 && data[nibbles - 1] & 15)) return false;
@@ -88,10 +88,10 @@ struct Tables {
     const uint8_t *ladder;
     const int64_t rungs;
     const int64_t *last;
-    const int64_t laws;  // the table behind them is of what escapes are beyond their law
+    const int64_t laws;  // the table after them codes the excess of escapes
 };
 
-// Laws of the tokens of a diagonal: false for an expected token beyond the ladder.
+// Finds the laws of the tokens of a diagonal. False for an expected token beyond the ladder.
 bool laws_of(const Tables &tables, const Contexts &contexts, int64_t i, int64_t begin, int64_t end, std::vector<uint16_t> &laws) {
     contexts.expected(i, begin, end, laws.data());
     for (int64_t j = 0; j < end - begin; ++j) {
@@ -101,14 +101,14 @@ bool laws_of(const Tables &tables, const Contexts &contexts, int64_t i, int64_t 
     return true;
 }
 
-// Of a law and a slot: the symbol at law << PRECISION | slot, its frequency and start at law << 8 | symbol (bulk.Laws). Small
-// enough for a fast cache.
+// bulk.Laws: the symbol of a slot at law << PRECISION | slot; frequency and start of a symbol at law << 8 | symbol.
+// Small tables fit into a fast cache.
 struct Symbols {
     const uint8_t *of_slot;
     const uint32_t *code;
 };
 
-// bulk._pop: false where there are too few words. law(j): of symbol j; put(j, symbol).
+// bulk._pop: decodes `count` symbols. law(j): law of symbol j; put(j, symbol) stores it. False if there are too few words.
 template <class Law, class Put>
 bool pop(std::vector<uint32_t> &states, int64_t count, const Symbols &symbols, const uint8_t *words, size_t known, size_t &used,
          Law law, Put put) {
@@ -124,7 +124,7 @@ bool pop(std::vector<uint32_t> &states, int64_t count, const Symbols &symbols, c
             put(turn + j, symbol);
             return (x >> PRECISION) * (code >> PRECISION) + slot - (code & MASK);
         };
-        if (known - used >= size_t(here)) {  // without branches that depend on the data
+        if (known - used >= size_t(here)) {  // no branch depends on the data
             const uint8_t *word = words + 2 * used;
             for (int64_t j = 0; j < here; ++j) {
                 const uint32_t x = next(j), low = x < LOWEST;
@@ -147,7 +147,7 @@ bool pop(std::vector<uint32_t> &states, int64_t count, const Symbols &symbols, c
     return true;
 }
 
-// bulk._tokens_by_numpy: fills `flat` and leaves the last states in `states`.
+// bulk._tokens_by_numpy: fills `flat`; leaves the final states in `states`.
 bool decode_tokens(const Layout &layout, const Tables &tables, const Symbols &symbols, Contexts &contexts, uint16_t *flat,
                    std::vector<uint32_t> &states, const uint8_t *words, size_t known, size_t &used) {
     std::vector<uint16_t> law(size_t(layout.lanes * layout.segments));
@@ -173,7 +173,7 @@ bool decode_tokens(const Layout &layout, const Tables &tables, const Symbols &sy
     return true;
 }
 
-// bulk._values: signs, then mantissas, from the last states and from the bytes behind the words.
+// bulk._values: signs, then mantissas, from the final states and from the bytes after the words.
 bool values_of(std::vector<uint8_t> &tokens, const std::vector<uint32_t> &states, const uint8_t *rest, size_t size, int64_t *out) {
     const size_t bytes = 2 * states.size() + size;
     std::vector<uint8_t> raw(bytes + Bits::PADDING, 0);
@@ -194,7 +194,7 @@ bool values_of(std::vector<uint8_t> &tokens, const std::vector<uint32_t> &states
     if (8 * size < later || 8 * size - later >= 8) return false;
     Bits sign(raw.data(), bytes), magnitude(raw.data(), bytes);
     magnitude.at = signs;
-    for (size_t i = 0; i < n; ++i) {  // most tokens are less than DIRECT: without branches for zeros and signs
+    for (size_t i = 0; i < n; ++i) {  // most tokens are less than DIRECT: no branches for zeros and signs
         if (uint64_t zeros; n - i >= 8 && (std::memcpy(&zeros, &tokens[i], 8), !zeros)) {
             std::fill_n(out + i, 8, int64_t(0));
             i += 7;
@@ -209,7 +209,7 @@ bool values_of(std::vector<uint8_t> &tokens, const std::vector<uint32_t> &states
     return magnitude.rest_is_zero();
 }
 
-// bulk.unpack: integers (steps, lanes); none for bytes that no encoder writes. hints: flat, or none.
+// bulk.unpack: integers (steps, lanes); nothing for bytes that no encoder writes. hints: flat, or empty.
 std::optional<Output<int64_t>> bulk_unpack(nb::bytes data, int64_t steps, int64_t lanes, Input<uint16_t, 1> weights,
                                            Input<uint8_t, 1> ladder, Input<uint8_t, 1> symbols, Input<uint32_t, 1> code, Input<int64_t, 1> last,
                                            Input<uint16_t, 1> hints) {
@@ -218,7 +218,7 @@ std::optional<Output<int64_t>> bulk_unpack(nb::bytes data, int64_t steps, int64_
         code.shape(0) != 256 * last.shape(0))
         throw std::invalid_argument("bulk_unpack: shapes differ");
     const Layout layout(steps, lanes);
-    if (hints.shape(0) && int64_t(hints.shape(0)) != layout.places()) throw std::invalid_argument("bulk_unpack: another layout");
+    if (hints.shape(0) && int64_t(hints.shape(0)) != layout.places()) throw std::invalid_argument("bulk_unpack: wrong number of hints");
     const uint8_t *bytes = static_cast<const uint8_t *>(data.data());
     const size_t size = data.size();
     if (!size || bytes[0] < 1 || bytes[0] > MAX_TURNS) return std::nullopt;
@@ -244,14 +244,14 @@ std::optional<Output<int64_t>> bulk_unpack(nb::bytes data, int64_t steps, int64_
     return out.give({size_t(steps), size_t(lanes)});
 }
 
-// bulk._push_all: tokens (steps, lanes) into the states (n), in place; the words in the order of decoding.
+// bulk._push_all: codes tokens (steps, lanes) into the states (n), in place; returns the words in decoding order.
 Output<uint16_t> bulk_push(InPlace<uint32_t, 1> states, Input<uint8_t, 2> token, Input<uint16_t, 1> weights,
                            Input<uint8_t, 1> ladder, Input<uint32_t, 1> code, Input<int64_t, 1> last, Input<uint16_t, 1> hints) {
     const Tables tables(ladder, last);
     if (!token.shape(0) || !token.shape(1) || weights.shape(0) != 7 || !states.shape(0) || code.shape(0) != 256 * last.shape(0))
         throw std::invalid_argument("bulk_push: shapes differ");
     const Layout layout(int64_t(token.shape(0)), int64_t(token.shape(1)));
-    if (hints.shape(0) && int64_t(hints.shape(0)) != layout.places()) throw std::invalid_argument("bulk_push: another layout");
+    if (hints.shape(0) && int64_t(hints.shape(0)) != layout.places()) throw std::invalid_argument("bulk_push: wrong number of hints");
     std::vector<uint16_t> flat(size_t(layout.places()), 0), words, laws;
     std::vector<uint8_t> law(size_t(layout.places()));
     {
@@ -268,7 +268,7 @@ Output<uint16_t> bulk_push(InPlace<uint32_t, 1> states, Input<uint8_t, 2> token,
         }
         const int64_t n = int64_t(states.shape(0));
         std::vector<uint32_t> codes, beyond;
-        auto push_all = [&](const std::vector<uint32_t> &of) {  // in turns, all backwards
+        auto push_all = [&](const std::vector<uint32_t> &of) {  // backwards, state by state in turn
             for (int64_t j = int64_t(of.size()); j-- > 0;)
                 contexts::push(states.data()[j % n], of[size_t(j)] >> PRECISION, of[size_t(j)] & MASK, words);
         };

@@ -1,4 +1,4 @@
-// Long arrays of tokens as diagonals, and the tokens that their neighbours let expect: entropy/layout.py, entropy/bulk.py.
+// Long arrays of tokens as diagonals, and tokens expected from their neighbours: entropy/layout.py, entropy/bulk.py.
 #pragma once
 
 #include <algorithm>
@@ -9,7 +9,7 @@
 
 namespace bulk {
 
-// layout.Layout: an array (rows, columns) as diagonals of segments in one flat array.
+// layout.Layout: maps an array (rows, columns) to diagonals of segments in one flat array.
 struct Layout {
     static constexpr int64_t LANES = 64, STEPS = 128, WIDE = 4096;
 
@@ -21,7 +21,7 @@ struct Layout {
         steps = (length + pieces - 1) / pieces;
         pieces = (length + steps - 1) / steps;
         segments = groups * pieces;
-        full_groups = breadth - groups * (lanes - 1);  // the others have one lane less
+        full_groups = breadth - groups * (lanes - 1);  // other groups have one lane less
         row = (lanes + 2) * segments;
         width = std::min(steps, lanes) * segments;
     }
@@ -29,7 +29,7 @@ struct Layout {
     int64_t places() const { return (steps + lanes + 1) * row; }
     int64_t diagonals() const { return steps + lanes - 1; }
 
-    // Layout.diagonals: the range of diagonal i in the flat array; empty where all its segments are short of a lane.
+    // Layout.diagonals: the range of diagonal i in the flat array; empty if all its segments lack a lane.
     void diagonal(int64_t i, int64_t &begin, int64_t &end) const {
         const int64_t low = std::max<int64_t>(0, i - steps + 1), high = std::min(lanes, i + 1);
         const int64_t missing = high == lanes ? segments - full_groups * pieces : 0;
@@ -57,7 +57,7 @@ struct Layout {
     int64_t length, breadth, lanes, steps, pieces, segments, full_groups, row, width;
 };
 
-// bulk._DiagonalContexts
+// bulk._DiagonalContexts: expected tokens of diagonals
 class Contexts {
 public:
     Contexts(const Layout &layout, uint16_t *tokens, const uint16_t *weights, const uint16_t *hints)

@@ -1,5 +1,5 @@
-// Distances of points from bodies made of capsules, for geometry/capsules.py. In single precision and without branches, so
-// that compilers take four points at a time.
+// Distances of points from bodies made of capsules, for geometry/capsules.py. Single precision and no branches let
+// compilers vectorise over four points.
 #pragma once
 
 #include <algorithm>
@@ -9,17 +9,17 @@
 
 #include "arrays.h"
 
-// capsules.surface_distances: (bodies, n) of points (n, 3) from the nearest surface of the capsules of each body, with
-// ends (bodies, capsules, 2, 3) and radii (bodies, capsules, 2), metres.
+// capsules.surface_distances: distances (bodies, n) of points (n, 3) from the nearest capsule surface of each body.
+// ends (bodies, capsules, 2, 3), radii (bodies, capsules, 2): metres.
 inline Output<float> capsule_surfaces(Input<double, 2> points, Input<double, 4> ends, Input<double, 3> radii) {
     const size_t n = points.shape(0), bodies = ends.shape(0), capsules = ends.shape(1);
     if (points.shape(1) != 3 || ends.shape(2) != 2 || ends.shape(3) != 3 || radii.shape(0) != bodies ||
         radii.shape(1) != capsules || radii.shape(2) != 2 || !capsules)
         throw std::invalid_argument("capsule_surfaces: shapes differ");
-    double centre[3] = {0, 0, 0};  // near the points single precision is accurate
+    double centre[3] = {0, 0, 0};  // as origin: single precision is accurate near it
     for (size_t i = 0; i < n; ++i)
         for (size_t d = 0; d < 3; ++d) centre[d] += points.data()[3 * i + d] / double(n);
-    std::vector<float> places(3 * n);  // by axes
+    std::vector<float> places(3 * n);  // axis by axis
     for (size_t i = 0; i < n; ++i)
         for (size_t d = 0; d < 3; ++d) places[d * n + i] = float(points.data()[3 * i + d] - centre[d]);
     const float *x = places.data(), *y = x + n, *z = y + n;
@@ -37,14 +37,14 @@ inline Output<float> capsule_surfaces(Input<double, 2> points, Input<double, 4> 
             const auto away = [&](size_t i) {
                 const float dx = x[i] - p[0], dy = y[i] - p[1], dz = z[i] - p[2];
                 const float foot = (dx * along[0] + dy * along[1] + dz * along[2]) * inverse;
-                const float share = 0.5f * (std::abs(foot) - std::abs(foot - 1) + 1);  // clamped to 0 to 1
+                const float share = 0.5f * (std::abs(foot) - std::abs(foot - 1) + 1);  // foot, clamped to 0 … 1
                 const float ox = dx - share * along[0], oy = dy - share * along[1], oz = dz - share * along[2];
                 return std::abs(std::sqrt(ox * ox + oy * oy + oz * oz) - (near + share * wider));
             };
             for (size_t i = 0; i < n && !c; ++i) nearest[i] = away(i);
             for (size_t i = 0; i < n && c; ++i) {
                 const float here = away(i);
-                nearest[i] = 0.5f * (nearest[i] + here - std::abs(nearest[i] - here));  // the smaller one
+                nearest[i] = 0.5f * (nearest[i] + here - std::abs(nearest[i] - here));  // the minimum
             }
         }
     }

@@ -1,4 +1,4 @@
-// Coefficients of a chunk of codecs/tempo from its positions: models/model.py, analyse. They agree with NumPy's to rounding.
+// Coefficients of a chunk of codecs/tempo from positions: models/model.py, analyse. They agree with NumPy's up to rounding.
 //
 //   positions ─place, heading─► poses ─bones or points─► curves (columns, frames) ─DCT─► spectrum ─bases─► coefficients
 #pragma once
@@ -14,8 +14,8 @@
 
 namespace chunks {
 
-// What analysis needs beside Shape. bases: of each band, from coordinates before `scale` to components, in panels of PANEL
-// components, (panels, dimensions, PANEL). joints, pairs, pair_frames: bones::Schedule; parents: of each point.
+// Inputs of the analysis besides Shape. bases: for each band, from coordinates before `scale` to components, in panels
+// of PANEL components, (panels, dimensions, PANEL). joints, pairs, pair_frames: bones::Schedule; parents: of each point.
 struct Analysis {
     std::vector<std::shared_ptr<const std::vector<double>>> bases;
     std::vector<int64_t> joints, parents, pairs;
@@ -26,7 +26,7 @@ struct AnalysisScratch {
     std::vector<double> columns, curves, heading, cosine, sine, spectrum;
     std::vector<double> sums, differences, of_panel;
 
-    static NEVER_INLINE AnalysisScratch &of_thread() {  // its address is looked up once
+    static NEVER_INLINE AnalysisScratch &of_thread() {  // looks its address up once
         static thread_local AnalysisScratch scratch;
         return scratch;
     }
@@ -34,7 +34,7 @@ struct AnalysisScratch {
 
 class Analyser {
 public:
-    // heading_frequencies: how many coefficients of the heading are kept.
+    // heading_frequencies: number of kept coefficients of the heading.
     Analyser(const Shape &shape, const Analysis &analysis, const Cosines &cosines, const size_t *band_ends,
              double heading_step, size_t heading_frequencies)
         : of_(shape), with_(analysis), cosines_(cosines), band_ends_(band_ends), heading_step_(heading_step),
@@ -60,11 +60,11 @@ private:
         return scratch.columns.data() + (axis * of_.points + point) * frames_;
     }
 
-    // Positions as (3, points, frames).
+    // Transposes positions to (3, points, frames).
     ALWAYS_INLINE void by_columns(const double *positions, AnalysisScratch &scratch) const {
         const size_t points = of_.points;
         scratch.columns.resize(3 * points * frames_);
-        for (size_t first = 0; first < frames_; first += 8) {  // eight frames at a time stay in the cache
+        for (size_t first = 0; first < frames_; first += 8) {  // eight frames fit into the cache
             const size_t last = std::min(frames_, first + 8);
             for (size_t p = 0; p < points; ++p)
                 for (size_t k = 0; k < 3; ++k) {
@@ -74,7 +74,7 @@ private:
         }
     }
 
-    // The place, times √points, into the last curves; the columns become relative to it.
+    // Writes the place, times √points, to the last curves; subtracts the place from the columns.
     ALWAYS_INLINE void centre(AnalysisScratch &scratch) const {
         const double points = double(of_.points), scale = std::sqrt(points);
         for (size_t k = 0; k < 3; ++k) {
@@ -93,7 +93,7 @@ private:
         }
     }
 
-    // pose/heading.py, heading; model.py, smooth_heading: the row of the heading, and the cosine and sine of its inverse.
+    // pose/heading.py, heading; model.py, smooth_heading: writes the heading's row, and cosine and sine of its inverse.
     ALWAYS_INLINE void heading(AnalysisScratch &scratch, size_t rows, double *out) const {
         scratch.heading.assign(frames_, 0.0);
         scratch.cosine.assign(frames_, 0.0), scratch.sine.assign(frames_, 0.0);
@@ -108,7 +108,7 @@ private:
         }
         for (size_t f = 0; f < frames_; ++f) angle[f] = std::atan2(sine[f], cosine[f]);
         unwrap(angle);
-        std::fill_n(cosine, frames_, 0.0);  // from here on: the heading that is decoded
+        std::fill_n(cosine, frames_, 0.0);  // from here on: the decoded heading
         for (size_t k = 0; k < heading_frequencies_; ++k) {
             double sum = 0;
             for (size_t t = 0; t < frames_; ++t) sum += angle[t] * cosine_of(k, t);
@@ -126,7 +126,7 @@ private:
         return t != mirrored && parity ? -value : value;
     }
 
-    // np.unwrap, and whole turns so that the first angle is at most half a turn.
+    // np.unwrap, then adds whole turns so that the first angle is at most half a turn.
     void unwrap(double *angle) const {
         using bones::PI;
         double turns = 0, before = angle[0];
@@ -140,7 +140,7 @@ private:
         }
     }
 
-    // heading.rotate by the inverse of the heading.
+    // heading.rotate: rotates by the inverse of the heading.
     ALWAYS_INLINE void turn(AnalysisScratch &scratch) const {
         const double *cosine = scratch.cosine.data(), *sine = scratch.sine.data();
         for (size_t p = 0; p < of_.points; ++p) {
@@ -153,7 +153,7 @@ private:
         }
     }
 
-    // coordinates.py, forward: the first curves.
+    // coordinates.py, forward: writes the first curves.
     ALWAYS_INLINE void coordinates(AnalysisScratch &scratch) const {
         if (!of_.tree) {
             for (size_t p = 0; p < of_.points; ++p)
@@ -173,7 +173,7 @@ private:
         bones::unwrap_all(tree.bones, tree.hubs, curves, frames_);
     }
 
-    // stages/dct.py, forward, of all curves: (blocks of TILE frequencies, columns, TILE).
+    // stages/dct.py, forward: DCT of all curves, (blocks of TILE frequencies, columns, TILE).
     ALWAYS_INLINE void transform(AnalysisScratch &scratch) const {
         const size_t columns = rows_of_spectrum_, padded = cosines_.blocks * TILE;
         scratch.spectrum.assign((frames_ + TILE - 1) / TILE * TILE * columns, 0.0);
@@ -193,7 +193,7 @@ private:
         }
     }
 
-    // Sums and differences of the first half of the frames and the mirrored second half, (frames, PANEL).
+    // Sums and differences of the first half of the frames and the mirrored second half, (half of the frames, PANEL).
     ALWAYS_INLINE void fold(const double *curves, size_t count, AnalysisScratch &scratch) const {
         const size_t half = cosines_.half;
         double *sums = scratch.sums.data(), *differences = scratch.differences.data();
@@ -205,7 +205,7 @@ private:
                 sums[t * PANEL + j] = of[t] + mirrored;
                 differences[t * PANEL + j] = of[t] - mirrored;
             }
-            if (frames_ % 2) sums[(half - 1) * PANEL + j] /= 2;  // the middle sample, which is its own mirror image
+            if (frames_ % 2) sums[(half - 1) * PANEL + j] /= 2;  // the middle sample mirrors itself
         }
     }
 
@@ -231,7 +231,7 @@ private:
         }
     }
 
-    // Bases, band by band, and the rows of the place.
+    // Applies the bases, band by band, and writes the rows of the place.
     ALWAYS_INLINE void components(AnalysisScratch &scratch, size_t rows, double *out) const {
         const size_t columns = rows_of_spectrum_, parts = rows - POSE, dimensions = of_.dimensions;
         size_t begin = 0;

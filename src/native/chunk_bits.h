@@ -1,4 +1,4 @@
-// Bits of a chunk of codecs/tempo, read and written.
+// Reads and writes bits of a chunk of codecs/tempo.
 #pragma once
 
 #include <algorithm>
@@ -8,7 +8,7 @@
 
 namespace chunks {
 
-// Big-endian bits behind one another; zeros follow the last.
+// Reads bits, highest first; zeros follow the last bit.
 class Bits {
 public:
     Bits(const uint8_t *data, size_t bytes) : data_(data), bytes_(bytes) {}
@@ -26,7 +26,7 @@ public:
 
     size_t at() const { return at_; }
 
-    // Whether no bit is set from here on.
+    // Whether all remaining bits are 0.
     bool rest_is_zero() {
         if (at_ & 7 && get(8 - int(at_ & 7))) return false;
         return std::all_of(data_ + std::min(at_ >> 3, bytes_), data_ + bytes_, [](uint8_t b) { return b == 0; });
@@ -37,7 +37,7 @@ private:
     size_t bytes_, at_ = 0;
 };
 
-// Big-endian bits behind one another.
+// Writes bits, highest first.
 class BitsOut {
 public:
     void put(uint64_t value, int width) {

@@ -1,7 +1,8 @@
-// Chunks of codecs/tempo without the interpreter, for codecs/tempo/compiled_chunks.py: from bytes to positions in the
-// caller's array; from positions to coefficients, to integers and what these decode to, and to bytes. Its parts are
-// chunk_symbols.h (bytes to integers), chunk_synthesis.h (integers to positions) and chunk_errors.h; chunk_analysis.h
-// (positions to coefficients), chunk_quantiser.h (coefficients to integers) and chunk_packer.h (integers to bytes).
+// Decodes and encodes chunks of codecs/tempo without the interpreter, for codecs/tempo/compiled_chunks.py.
+//
+//   bytes ─chunk_symbols.h─► integers ─chunk_synthesis.h─► positions in the caller's array
+//   positions ─chunk_analysis.h─► coefficients ─chunk_quantiser.h─► integers ─chunk_packer.h─► bytes
+//   chunk_errors.h: errors of decoded positions, and corrections
 
 #include <nanobind/stl/tuple.h>
 #include <nanobind/stl/vector.h>
@@ -44,7 +45,7 @@ WITH_AVX2 void analyse_with_avx2(const Analyser &analyser, const double *positio
 }
 #endif
 
-// The chunks of a model. Makes a ChunksOfLength for each length of chunk.
+// Tables and bases of a model, from which a ChunksOfLength is made for each chunk length.
 class ChunkCodec {
 public:
     ChunkCodec(Input<int64_t, 2> frequencies, Input<int64_t, 1> numerator_logs, Input<int64_t, 1> class_of,
@@ -55,14 +56,14 @@ public:
         of.symbols = frequencies.shape(1);
         if (of.symbols > SYMBOLS || exp2.shape(0) != 1536 || frequencies.shape(0) < size_t(3 * CLASSES) ||
             bases.empty() || !numerator_logs.shape(0) || !class_of.shape(0))
-            throw std::invalid_argument("ChunkCodec: tables of other sizes");
+            throw std::invalid_argument("ChunkCodec: tables of wrong sizes");
         for (size_t table = 0; table < frequencies.shape(0); ++table) {
             int64_t start = 0;
             for (size_t s = 0; s < SLOTS; ++s) {
                 of.starts.push_back(uint16_t(start));
                 if (s < of.symbols) start += frequencies.data()[table * of.symbols + s];
             }
-            if (start != TOTAL) throw std::invalid_argument("ChunkCodec: frequencies of another sum");
+            if (start != TOTAL) throw std::invalid_argument("ChunkCodec: frequencies have a wrong sum");
         }
         of.numerator_logs = copied<int16_t>(numerator_logs);
         of.class_of = copied<uint8_t>(class_of);
@@ -80,7 +81,7 @@ public:
             const auto &basis = bases[band];
             if (basis.shape(0) != components || basis.shape(1) != to.dimensions)
                 throw std::invalid_argument("ChunkCodec: bases of different shapes");
-            if (band && basis.data() == bases[band - 1].data()) {  // one basis of many points takes megabytes
+            if (band && basis.data() == bases[band - 1].data()) {  // shared: a basis of many points takes megabytes
                 to.bases.push_back(to.bases.back());
                 continue;
             }
@@ -93,8 +94,8 @@ public:
             throw std::invalid_argument("ChunkCodec: shapes differ");
     }
 
-    // The coordinates are directions of bones: BoneSchedule.program and .order; of each joint its parent, its direction
-    // (−1 for none), the length of its bone, and its column among the points.
+    // For coordinates that are bone directions. program, order: BoneSchedule; for each joint, its parent, its direction
+    // (−1: none), the length of its bone, and its column among the points.
     void set_tree(Input<int64_t, 2> program, Input<double, 3> rests, Input<double, 3> homes, Input<double, 2> ends,
                   Input<int64_t, 1> order, Input<int64_t, 1> parents, Input<int64_t, 1> direction,
                   Input<double, 1> lengths, Input<int64_t, 1> column) {
@@ -109,9 +110,9 @@ public:
         shape->tree = std::move(tree);
     }
 
-    // For encoding: bits of each symbol in each table (tables · symbols,), without and with its raw bits; for each band
-    // the transpose of its basis after `scale`, (dimensions, components); of trees: the joint of each bone in schedule
-    // order (bones,) and bones::Schedule's pairs (hubs, 2) and pair_frames (hubs, 3, 3).
+    // For encoding. costs, prices: bits of each symbol in each table (tables · symbols,), without and with raw bits;
+    // bases: for each band, its transposed basis after `scale`, (dimensions, components); for trees, joints: of each
+    // bone in schedule order (bones,), and bones::Schedule's pairs (hubs, 2) and pair_frames (hubs, 3, 3).
     void set_encoding(Input<double, 1> costs, Input<double, 1> prices, std::vector<Input<double, 2>> bases,
                       Input<int64_t, 1> joints, Input<int64_t, 2> pairs, Input<double, 3> pair_frames) {
         auto made = std::make_shared<Encoding>();
@@ -151,7 +152,7 @@ private:
         return out;
     }
 
-    // Joints become columns of the points.
+    // Converts joints to columns of the points.
     void set_joints(const Input<int64_t, 1> &joints, const Input<int64_t, 2> &pairs, const Input<double, 3> &pair_frames,
                     Analysis &out) const {
         const Tree &tree = *shape->tree;
@@ -159,7 +160,7 @@ private:
         bool fits = joints.size() >= tree.bones && pairs.size() == 2 * tree.hubs && pair_frames.size() == 9 * tree.hubs;
         for (size_t b = 0; fits && b < tree.bones; ++b) fits = is_joint(joints.data()[b]);
         for (size_t i = 0; fits && i < 2 * tree.hubs; ++i) fits = is_joint(pairs.data()[i]);
-        if (!fits) throw std::invalid_argument("ChunkCodec.set_encoding: a tree that does not fit");
+        if (!fits) throw std::invalid_argument("ChunkCodec.set_encoding: the tree does not match");
         for (size_t b = 0; b < tree.bones; ++b) out.joints.push_back(tree.column[size_t(joints.data()[b])]);
         for (size_t i = 0; i < 2 * tree.hubs; ++i) out.pairs.push_back(tree.column[size_t(pairs.data()[i])]);
         out.pair_frames = copied<double>(pair_frames);
@@ -187,11 +188,11 @@ private:
         for (int64_t j = 0; fits && j < points; ++j)
             fits = tree.parents[size_t(j)] < j && tree.direction[size_t(j)] < directions &&
                    tree.column[size_t(j)] >= 0 && tree.column[size_t(j)] < points;
-        if (!fits) throw std::invalid_argument("ChunkCodec: a tree that does not fit");
+        if (!fits) throw std::invalid_argument("ChunkCodec: the tree does not match");
     }
 };
 
-// Those of the lengths used last, which all models share.
+// Cached cosines of the last chunk lengths, shared by all models.
 std::shared_ptr<const Cosines> cosines_of(size_t frames) {
     constexpr size_t KEPT = 8;
     static std::mutex lock;
@@ -204,11 +205,11 @@ std::shared_ptr<const Cosines> cosines_of(size_t frames) {
     return kept.back();
 }
 
-// Decodes chunks of one length.
+// Decodes and encodes chunks of one length.
 class ChunksOfLength {
 public:
-    // expected (frames, rows): Model.expected with a step of 0. band_ends: the frequency behind each band.
-    // heading_frequencies: of analysis.
+    // expected (frames, rows): Model.expected for step 0. band_ends: the frequency after each band.
+    // heading_frequencies: see Analyser.
     ChunksOfLength(const ChunkCodec &of, Input<int64_t, 2> expected, std::vector<size_t> band_ends, double heading_step,
                    size_t heading_frequencies)
         : shape_(of.shape), encoding_(of.encoding), expectations_(of.tables, expected.data(), expected.shape(0), expected.shape(1), of.shape->points),
@@ -219,8 +220,8 @@ public:
             throw std::invalid_argument("ChunksOfLength: shapes differ");
     }
 
-    // Frames [first, first + len(out)) of the chunk of these bytes. out (frames, points, 3); axes: the output axis of x, y
-    // and z; correction_step: metres. False, and anything in `out`, for bytes that Python should look at.
+    // Decodes frames [first, first + len(out)) of a chunk to out (frames, points, 3). axes: output axis of x, y and z;
+    // correction_step: metres. Returns false, with undefined `out`, for bytes that Python must decode or reject.
     bool decode(nb::bytes numbers, double correction_step, InPlace<double, 3> out, size_t first,
                 std::tuple<size_t, size_t, size_t> axes) const {
         const auto [x, y, z] = axes;
@@ -260,9 +261,9 @@ public:
         return out.give({cosines_.frames, expectations_.rows});
     }
 
-    // A chunk in one step: codecs/tempo/trial.py. spectrum (frames, rows); wanted (frames, points, 3); apart (frames,
-    // points), or empty; size: the step in metres; free: the first row whose integers are chosen by rate and distortion;
-    // keeps: whether the decoded positions are returned. Values (frequencies, rows), threshold, bits, sum of distances,
+    // Trial of a step: codecs/tempo/trial.py. spectrum (frames, rows); wanted (frames, points, 3); apart (frames,
+    // points), or empty; size: the step in metres; free: the first row with rate–distortion optimised integers; keeps:
+    // whether to return the decoded positions. Returns values (frequencies, rows), threshold, bits, sum of distances,
     // sum of squared distances, decoded positions.
     nb::object of_step(Input<double, 2> spectrum, Input<double, 3> wanted, Input<uint8_t, 2> apart, int64_t step,
                        double size, double slope, size_t free, bool keeps) const {
@@ -281,9 +282,9 @@ public:
                               keeps ? nb::cast(decoded.give({frames, points, 3})) : nb::none());
     }
 
-    // The same with corrections, in steps of `correction_step` metres, that bring all samples within the bound (metres).
-    // None for errors too large to correct; or values, threshold, bits with those of the corrections, and the corrections'
-    // numbers (FIELDS, n); without values where the coefficients alone take `most_bits` or more.
+    // Trial of a step with corrections, in steps of `correction_step` metres, that keep all samples within the bound
+    // (metres). Returns values, threshold, bits including corrections, and the corrections' numbers (FIELDS, n); no
+    // values if the coefficients alone take `most_bits` or more; None if errors are too large to correct.
     nb::object within_bound(Input<double, 2> spectrum, Input<double, 3> wanted, Input<uint8_t, 2> apart, int64_t step,
                             double size, double slope, size_t free, double bound, double correction_step,
                             double most_bits) const {
@@ -312,7 +313,7 @@ public:
         return nb::make_tuple(values_of(found), found.threshold, found.bits, listed.give({FIELDS, lists.size() / FIELDS}));
     }
 
-    // coefficients.pack of one chunk: values (frequencies, rows), lists (FIELDS, n).
+    // coefficients.pack for one chunk: values (frequencies, rows), lists (FIELDS, n).
     nb::bytes pack(Input<int64_t, 2> values, int64_t step, int64_t threshold, Input<int64_t, 2> lists) const {
         if (!encoding_ || values.shape(1) != expectations_.rows || (lists.size() && lists.shape(0) != FIELDS))
             throw std::invalid_argument("ChunksOfLength.pack: shapes differ");

@@ -1,5 +1,5 @@
-// What a chunk's decoded positions lack: distances, and the corrections that bring all samples within a bound
-// (codecs/tempo/coding/corrections.py, find). Integers are those of NumPy but for its order of summation.
+// Errors of a chunk's decoded positions, and the corrections that keep all samples within a bound
+// (codecs/tempo/coding/corrections.py, find). Integers equal NumPy's except for its order of summation.
 #pragma once
 
 #include <algorithm>
@@ -17,7 +17,7 @@ struct Samples {
 
     bool skips(size_t at) const { return apart && apart[at]; }
 
-    // Of sample `at`, a number of (frames, points).
+    // The error vector of sample `at`, an index of (frames, points).
     void error(size_t at, double *out) const {
         const double weight = weights ? weights[at % points] : 1.0;
         for (size_t k = 0; k < 3; ++k) {
@@ -28,7 +28,7 @@ struct Samples {
 };
 
 struct Sums {
-    double distance = 0, squared = 0;  // of distances times weights, and of squared distances without them
+    double distance = 0, squared = 0;  // sums of weighted distances, and of unweighted squared distances
 };
 
 inline Sums sums_of(const Samples &of) {
@@ -47,7 +47,7 @@ inline Sums sums_of(const Samples &of) {
     return all;
 }
 
-// Corrections in the order of corrections.Corrections.
+// corrections.Corrections
 struct Found {
     std::vector<int64_t> start, length, by;  // by: (n, 3)
 
@@ -57,7 +57,7 @@ struct Found {
     }
 };
 
-// corrections.numbers: (5, n), by x, y, z, samples since the one before, frames less one.
+// corrections.numbers (5, n): x, y, z, samples since the previous correction, frames − 1.
 inline std::vector<int64_t> numbers_of(const Found &of) {
     const size_t n = of.start.size();
     std::vector<int64_t> out(5 * n);
@@ -73,7 +73,7 @@ inline std::vector<int64_t> numbers_of(const Found &of) {
 
 constexpr double LARGEST_ERROR_STEPS = 1125899906842624.0;  // coding/direct.py, LARGEST
 
-// False for errors too large to count in steps.
+// Finds corrections. False for errors too large to count in steps.
 inline bool find_corrections(const Samples &of, double bound, double step, Found &out) {
     const double limit = bound * bound, pi = 3.14159265358979323846;
     std::vector<size_t> beyond;  // point · frames + frame

@@ -1,5 +1,5 @@
-// A chunk of codecs/tempo from its integers to bytes: codecs/tempo/coding/coefficients.py, pack. The inverse of
-// Expectations::unpack; integers only, but for the costs of tables, which are summed in the order of NumPy's code.
+// Codes a chunk's integers into bytes: codecs/tempo/coding/coefficients.py, pack. The inverse of Expectations::unpack.
+// Integers only, except costs of tables, which are summed in the order of the NumPy code.
 #pragma once
 
 #include <algorithm>
@@ -12,7 +12,7 @@ namespace chunks {
 
 constexpr size_t SYMBOLS_PER_LANE = 96, BITS_PER_LANE = 16;  // coding/coefficients.py
 
-// How the lists (FIELDS, n) of a chunk are coded. bits: with raw bits.
+// Coding of the lists (FIELDS, n) of a chunk. bits: including raw bits.
 struct ListCoding {
     int64_t classes[FIELDS] = {};
     double bits = 0;
@@ -44,7 +44,7 @@ inline ListCoding list_coding(const double *costs, const int64_t *lists, size_t 
     return out;
 }
 
-// A chunk's integers before they are coded: values (frequencies, rows), lists (FIELDS, n).
+// A chunk's integers to code: values (frequencies, rows), lists (FIELDS, n).
 struct Numbers {
     int64_t step, threshold;
     const int64_t *values;
@@ -57,7 +57,7 @@ class Packer {
 public:
     Packer(const Expectations &of, const double *costs) : of_(of), costs_(costs), rows_(of.rows) {}
 
-    // Throws for a symbol that no table codes.
+    // Throws for a symbol that a table cannot code.
     std::vector<uint8_t> run(const Numbers &in) {
         const std::vector<size_t> reach = of_.zone(in.step, in.threshold * THRESHOLD_UNIT);
         const size_t zone = *std::max_element(reach.begin(), reach.end()), frequencies = std::min(zone, in.frequencies);
@@ -93,7 +93,7 @@ private:
         for (const int64_t each : lists.classes) varint(each);
     }
 
-    // What is left of magnitudes, then signs: of the coefficients, then of the lists.
+    // Mantissas, then signs: first of the coefficients, then of the lists.
     void raw_bits(const Numbers &in, const std::vector<size_t> &reach, size_t frequencies) {
         std::vector<int64_t> known;
         for (size_t f = 0; f < frequencies; ++f)
@@ -120,7 +120,7 @@ private:
         slots_.push_back({frequency, start, uint32_t(lane)});
     }
 
-    // The symbols of the coefficients, in the order in which they are decoded.
+    // Symbols of the coefficients, in decoding order.
     void coefficients(const Numbers &in, const std::vector<size_t> &reach, size_t zone, size_t lanes) {
         const auto base = of_.contexts_of(in.step, zone);
         Expectations::Field field(zone, rows_);
@@ -152,7 +152,7 @@ private:
         }
     }
 
-    // Final states, words, and the raw bits that the initial states do not hold.
+    // Writes the states, the words, and the raw bits that do not fit into the encoder's initial states.
     void streams(const Numbers &in, const std::vector<size_t> &reach, size_t zone, size_t lanes, const ListCoding &lists) {
         slots_.clear();
         coefficients(in, reach, zone, lanes);

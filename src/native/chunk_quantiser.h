@@ -1,5 +1,5 @@
-// Integers of a chunk's coefficients: codecs/tempo/coding/quantise.py, from a spectrum and a step. Integers are the same as
-// NumPy's, since both do the same operations in the same order.
+// Quantises a chunk's coefficients with a step: codecs/tempo/coding/quantise.py. Integers equal NumPy's, since both do
+// the same operations in the same order.
 #pragma once
 
 #include <algorithm>
@@ -17,12 +17,13 @@ struct Quantised {
     Integers integers;       // step, coefficients
 };
 
-// What a trial asks for. sizes: step of the heading, radians, and of all other rows, metres; prices: quantise.prices.
+// Parameters of a trial. heading_size, size: steps of the heading, radians, and of other rows, metres; prices:
+// quantise.prices.
 struct Quantisation {
     int64_t step;
     double heading_size, size, slope, inward;
     const double *prices;
-    size_t free;  // first row whose integers are chosen by rate and distortion
+    size_t free;  // first row with rate–distortion optimised integers
 };
 
 class Quantiser {
@@ -57,7 +58,7 @@ private:
         int64_t chosen() const { return lower ? low : high; }
     };
 
-    // What is kept for the next chunk of a thread: many points need megabytes, which the system clears first.
+    // Memory kept for a thread's next chunk: many points need megabytes, and fresh memory costs time to clear.
     struct Memory {
         std::vector<Choice> choices;
         std::vector<int16_t> logs;
@@ -85,10 +86,10 @@ private:
         return !beyond;
     }
 
-    // Coefficients whose nearest integer is not zero, and `frequencies_` up to the last of them.
+    // Finds the coefficients with a nonzero nearest integer; sets `frequencies_` to 1 + their last frequency.
     void find_choices(const double *spectrum, const Quantisation &in) {
         choices_.clear();
-        const double limit = 0.4999 * in.size;  // most are far smaller than a step: divisions are slow
+        const double limit = 0.4999 * in.size;  // most are far smaller than a step; this avoids slow divisions
         for (size_t f = 0; f < of_.frames; ++f) {
             const double *of = spectrum + f * rows_;
             add_choice(f, 0, of[0], in.heading_size, in);
@@ -102,7 +103,7 @@ private:
         frequencies_ = choices_.empty() ? 0 : choices_.back().at / rows_ + 1;
     }
 
-    // The choice of a coefficient in steps of `step`, unless its nearest integer is zero.
+    // Adds the choice of a coefficient, unless its nearest integer is zero.
     void add_choice(size_t f, size_t r, double coefficient, double step, const Quantisation &in) {
         const double scaled = coefficient / step, size = std::fabs(scaled);
         if (!(size > 0.5)) return;
@@ -125,7 +126,7 @@ private:
         return top;
     }
 
-    // contexts.all_tables, as first entries of `prices`.
+    // contexts.all_tables, as offsets in `prices`.
     void tables(Expectations::Field &field, const Expectations::Base &base) {
         const uint8_t *class_of = of_.tables_->class_of.data();
         const int64_t last = int64_t(of_.tables_->class_of.size()) - 1;
@@ -163,13 +164,13 @@ private:
         }
     }
 
-    // The coded zone that is worth most, and its bits.
+    // Finds the threshold of the coded zone with the least rate–distortion cost, and its bits.
     void threshold(const Quantisation &in, int64_t top, Quantised &out) {
         const size_t count = frequencies_ * rows_;
         heights_.resize(count);
         const int32_t *highest_from = of_.highest_.data(), step = int32_t(in.step);
         for (size_t at = 0; at < count; ++at) heights_[at] = (highest_from[at] - step) >> 4;
-        for (size_t at = 0; at < count; at += rows_) heights_[at] = highest_from[at] >> 4;  // the heading's own step
+        for (size_t at = 0; at < count; at += rows_) heights_[at] = highest_from[at] >> 4;  // the heading has its own step
         int64_t highest = top;
         for (const Choice &c : choices_)
             if (!c.free && c.chosen() > 0) highest = std::min<int64_t>(highest, heights_[c.at]);

@@ -1,6 +1,6 @@
-// A chunk of codecs/tempo from its bytes to integers: codecs/tempo/coding/coefficients.py, unpack. Integers only.
+// Decodes a chunk's bytes to integers: codecs/tempo/coding/coefficients.py, unpack. Integers only.
 //
-// Whatever is wrong with the bytes ends the work; Python then finds out what it is, and raises the error.
+// Damaged bytes end the decoding; Python then decodes them again and raises the error.
 #pragma once
 
 #include <algorithm>
@@ -28,22 +28,22 @@ constexpr int LANE_CODE = 7, HAS_LISTS = 8, THRESHOLD_SHIFT = 4;
 constexpr size_t LANES[] = {1, 2, 4, 8, 12, 16, 24, 32}, MOST_LANES = 32;
 constexpr size_t FIELDS = 5, SIGNED_FIELDS = 3;
 constexpr int64_t GROUPS[][2] = {{0, 1}, {16, 2}, {64, 4}, {128, 8}};  // first frequency, size: contexts.GROUPS
-constexpr size_t STEPS_KEPT = 32;  // steps whose contexts are kept
-constexpr size_t SLOTS = 24, AT_ONCE = 8;  // entries of a table of first slots; those that are compared at once
-static_assert(SYMBOLS < SLOTS, "the last first slot is that behind all symbols");
+constexpr size_t STEPS_KEPT = 32;  // cached contexts, by step
+constexpr size_t SLOTS = 24, AT_ONCE = 8;  // entries of a table of first slots; number compared at once
+static_assert(SYMBOLS < SLOTS, "one more entry ends the last symbol");
 
-// Tables of coding/contexts.py, and the model's tables of symbols: `starts` (tables, SLOTS) has their first slots, TOTAL
-// from the end of the symbols on.
+// Tables of coding/contexts.py, and the model's symbol tables. starts (tables, SLOTS): first slot of each symbol; TOTAL
+// after the last symbol.
 struct Tables {
     std::vector<uint16_t> starts;
     std::vector<int16_t> numerator_logs;
     std::vector<uint8_t> class_of;
-    std::vector<int32_t> exp2;  // contexts._EXP, from a logarithm of −512 on
+    std::vector<int32_t> exp2;  // contexts._EXP, for logarithms from −512 on
     int64_t first_class;
     size_t symbols;
 };
 
-// The magnitude that a symbol stands for where contexts look at it.
+// Magnitudes of symbols, as contexts use them.
 struct Magnitudes {
     int32_t of[SYMBOLS];
 
@@ -61,17 +61,17 @@ struct Coefficient {
     int64_t value;
 };
 
-// A chunk's integers: coefficients that are not zero, frequency by frequency; lists (fields, n).
+// A chunk's integers: nonzero coefficients, frequency by frequency; lists (fields, n).
 struct Integers {
     int64_t step = 0;
     std::vector<Coefficient> coefficients;
     std::vector<int64_t> lists;
 };
 
-// What is known of all chunks of one length: expected magnitudes, and contexts of the steps in use.
+// Facts shared by all chunks of one length: expected magnitudes, and cached contexts of steps.
 class Expectations {
 public:
-    // expected (frames, rows): Model.expected with a step of 0.
+    // expected (frames, rows): Model.expected for step 0.
     Expectations(std::shared_ptr<const Tables> tables, const int64_t *expected, size_t frames, size_t rows, size_t points)
         : frames(frames), rows(rows), points(points), tables_(std::move(tables)), expected_(frames * rows),
           highest_(frames * rows), starts_() {
@@ -89,7 +89,7 @@ public:
         starts_.push_back(frames);
     }
 
-    // False for bytes that no encoder writes.
+    // Decodes a chunk. False for bytes that no encoder writes.
     bool unpack(const uint8_t *data, size_t size, Integers &out) const {
         size_t at = 0;
         int64_t first, step, n = 0, classes[FIELDS] = {};
@@ -108,7 +108,7 @@ public:
         Lanes lanes{LANES[first & LANE_CODE], {}, {}, 0, 0};
         if (!frequencies && !n) return at == size;
         if (!read_states(data, size, at, lanes)) return false;
-        lanes.set_words(data + at, size - at, rows + 1);  // a frequency takes at most a word for each row
+        lanes.set_words(data + at, size - at, rows + 1);  // a frequency takes at most one word for each row
         std::vector<uint8_t> listed(size_t(n) * FIELDS);
         std::vector<uint8_t> symbols;
         coefficients(reach, frequencies, *contexts_of(out.step, frequencies), lanes, out.coefficients, symbols);
@@ -124,7 +124,7 @@ private:
 
     using Base = std::vector<int16_t>;
 
-    // words: those of all lanes, and zeros behind the last.
+    // rANS states of lanes. words: of all lanes, then zeros.
     struct Lanes {
         size_t count_of_lanes;
         uint32_t state[MOST_LANES];
@@ -153,11 +153,11 @@ private:
         return false;
     }
 
-    // contexts.zone: how many frequencies of each row are coded.
+    // contexts.zone: number of coded frequencies in each row.
     std::vector<size_t> zone(int64_t step, int64_t threshold) const {
         std::vector<size_t> reach(rows);
         for (size_t r = 0; r < rows; ++r) {
-            const int64_t least = threshold + (r ? step : 0);  // the heading has a step of its own
+            const int64_t least = threshold + (r ? step : 0);  // the heading has its own step
             size_t first = 0, behind = frames;
             while (first < behind) {
                 const size_t middle = (first + behind) / 2;
@@ -169,7 +169,7 @@ private:
         return reach;
     }
 
-    // Σ w |neighbour| of rows [0, wanted) from magnitudes 1 to 7 frequencies below.
+    // Σ w |neighbour| for rows [0, wanted), from magnitudes 1 to 7 frequencies below.
     template <class Out>
     static void neighbourhood(const int32_t *const *below, size_t wanted, Out out) {
         const int32_t *b1 = below[1], *b2 = below[2], *b3 = below[3], *b4 = below[4];
@@ -210,7 +210,7 @@ private:
         return tables_->numerator_logs[std::min<size_t>(size_t(sum), tables_->numerator_logs.size() - 1)];
     }
 
-    // Logarithms of what is around the rows [0, wanted), less the first class's.
+    // Logarithms of the neighbourhoods of rows [0, wanted), minus the first class's.
     void logs_of(Field &field, size_t start, size_t wanted, std::vector<int16_t> &logs) const {
         const int32_t *below[DEPTH + 1];
         field.below(start, below);
@@ -220,7 +220,7 @@ private:
     // The first table of a frequency's shape: contexts.SHAPE_STARTS.
     static size_t shape_of(size_t f) { return size_t(CLASSES) * (f == 0 ? 0 : f < 4 ? 1 : 2); }
 
-    // contexts.base of at least the lowest `wanted` frequencies; what lies far beyond the classes is clipped.
+    // contexts.base of at least the lowest `wanted` frequencies; values far beyond the classes are clipped.
     std::shared_ptr<const Base> contexts_of(int64_t step, size_t wanted) const {
         {
             const std::lock_guard<std::mutex> guard(lock_);
@@ -251,7 +251,7 @@ private:
         return base;
     }
 
-    // How many of AT_ONCE first slots, rising, are at most `slot`.
+    // Number of first slots ≤ `slot`, among AT_ONCE ascending ones.
     static ALWAYS_INLINE size_t reached(const uint16_t *starts, uint32_t slot) {
 #if defined(__SSE2__)
         const __m128i eight = _mm_loadu_si128(reinterpret_cast<const __m128i *>(starts));
@@ -264,11 +264,11 @@ private:
 #endif
     }
 
-    // The next symbol of a lane. words: those behind `used`, or zeros.
+    // Decodes the next symbol of a lane. words: from index `used` on unread, then zeros.
     static ALWAYS_INLINE size_t take(uint32_t &state, const uint16_t *starts, const uint16_t *words, size_t &used) {
         uint32_t x = state;
         const uint32_t slot = x & (TOTAL - 1);
-        size_t symbol = reached(starts + 1, slot);  // a search from symbol to symbol branches as no processor can predict
+        size_t symbol = reached(starts + 1, slot);  // a linear search has unpredictable branches
         if (symbol == AT_ONCE)  // rare
             while (slot >= starts[symbol + 1]) ++symbol;
         const uint32_t start = starts[symbol];
@@ -278,19 +278,19 @@ private:
         return symbol;
     }
 
-    // Places of the coefficients that are not zero, and their symbols.
+    // Decodes places and symbols of the nonzero coefficients.
     void coefficients(const std::vector<size_t> &reach, size_t frequencies, const Base &base, Lanes &lanes,
                       std::vector<Coefficient> &places, std::vector<uint8_t> &symbols) const {
         Field field(frequencies, rows);
         std::vector<int16_t> logs(rows);
         std::vector<int16_t> places_of_classes(rows);
-        std::vector<FoundSymbol> found_of_row(rows + 1);  // and one behind
+        std::vector<FoundSymbol> found_of_row(rows + 1);  // with one extra entry
         const uint8_t *class_of = tables_->class_of.data();
         const uint16_t *words = lanes.words.data();
         const int last_class = int(tables_->class_of.size()) - 1;
         const int16_t none = int16_t(log_of(0) - tables_->first_class);
         const size_t lanes_end = lanes.count_of_lanes;
-        size_t quiet_since = 0;  // no coefficient is set from this frequency on
+        size_t quiet_since = 0;  // coefficients are 0 from this frequency on
         for (size_t g = 0; g + 1 < starts_.size() && starts_[g] < frequencies; ++g) {
             const size_t start = starts_[g], end = std::min(starts_[g + 1], frequencies);
             size_t wanted = rows;
@@ -357,7 +357,7 @@ private:
         return true;
     }
 
-    // The values of symbols: what is left of each magnitude, then the signs of the first `with_sign` that are not zero.
+    // Reads values of symbols: all mantissas, then signs of the nonzero ones among the first `with_sign`.
     template <class Symbol, class Value>
     static void values(Bits &bits, size_t n, size_t with_sign, Symbol symbol, Value value) {
         for (size_t i = 0; i < n; ++i) value(i) = first_of(symbol(i)) + int64_t(bits.get(width_of(symbol(i))));
@@ -388,8 +388,8 @@ private:
     }
 
     std::shared_ptr<const Tables> tables_;
-    std::vector<int32_t> expected_, highest_;  // (frames, rows): expected, and the highest from a frequency on
-    std::vector<size_t> starts_;               // of the groups, and the number of frames
+    std::vector<int32_t> expected_, highest_;  // (frames, rows): expected, and its maximum from a frequency on
+    std::vector<size_t> starts_;               // first frequencies of the groups, then the number of frames
     mutable std::mutex lock_;
     mutable std::map<int64_t, std::shared_ptr<const Base>> bases_;
 };

@@ -1,5 +1,5 @@
 // Positions of a chunk of codecs/tempo from its integers: models/model.py, synthesise; coding/quantise.py, dequantise;
-// pose/bone_directions.py, inverse; coding/corrections.py, apply. They agree with NumPy's to rounding.
+// pose/bone_directions.py, inverse; coding/corrections.py, apply. They agree with NumPy's up to rounding.
 //
 //   integers ─steps─► coefficients ─bases─► spectrum of coordinates ─inverse DCT─► curves (frames, columns)
 //   curves ─four frames at a time─► pose ─heading, place─► positions ─corrections─► the caller's array
@@ -21,23 +21,23 @@ using namespace rotations4;
 
 constexpr double INWARD = 0.05;  // coding/quantise.py
 
-// pose/bone_tree.py, BoneSchedule.program and what turns directions into poses.
+// pose/bone_tree.py, BoneSchedule.program, and the data that turn directions into poses.
 struct Tree {
     std::vector<int64_t> program;          // (steps, 6)
     std::vector<double> rests, homes, ends;  // (bones, 3, 3), (hubs, 3, 3), (bones of hubs, 3)
-    std::vector<int64_t> order;            // coordinates of each bone in schedule order
-    std::vector<int64_t> parents, direction, column;  // of each joint: parent, its direction (−1: none), output column
-    std::vector<double> lengths;           // of each joint's bone, metres
+    std::vector<int64_t> order;            // index among the coordinates of each bone in schedule order
+    std::vector<int64_t> parents, direction, column;  // parent, direction (−1: none) and output column of each joint
+    std::vector<double> lengths;           // length of each joint's bone, metres
     size_t bones = 0, hubs = 0, slots = 0;
 };
 
-// A model's coordinates. Columns of curves are the coordinates of the pose, heading, place.
+// A model's coordinates. Columns of curves: coordinates of the pose, heading, place.
 struct Shape {
-    size_t points = 0, dimensions = 0, columns = 0;  // columns: those of curves, a multiple of PANEL
-    std::vector<std::shared_ptr<const std::vector<double>>> bases; // of each band, (components, columns)
-    std::vector<double> pose;                        // (points, 3), for positions
-    std::unique_ptr<Tree> tree;                      // for directions of bones
-    std::vector<double> weights;                     // (points,), or none
+    size_t points = 0, dimensions = 0, columns = 0;  // columns: of curves, a multiple of PANEL
+    std::vector<std::shared_ptr<const std::vector<double>>> bases; // basis of each band, (components, columns)
+    std::vector<double> pose;                        // mean pose (points, 3), for models of positions
+    std::unique_ptr<Tree> tree;                      // for models of bone directions
+    std::vector<double> weights;                     // (points,), or empty
 };
 
 struct Target {
@@ -46,7 +46,7 @@ struct Target {
     size_t axis[3];         // output axis of x, y and z
 };
 
-// A run of corrections, as corrections.from_numbers reads it.
+// A run of corrections: corrections.from_numbers.
 struct Correction {
     size_t start, length;
     double by[3];
@@ -67,12 +67,12 @@ inline bool corrections_of(const std::vector<int64_t> &lists, size_t frames, siz
 }
 
 struct Scratch {
-    std::vector<size_t> numbers[2];  // of even and of odd frequencies with coefficients: half of the frequency
+    std::vector<size_t> numbers[2];  // even and odd frequencies with coefficients, divided by 2
     std::vector<double> panels, curves, row, frames, directions, pose;  // the last three: four doubles each
     std::vector<double> components, packed;  // curves of components, in blocks of TILE frames; a panel of their basis
     Division division;
 
-    static NEVER_INLINE Scratch &of_thread() {  // its address is looked up once
+    static NEVER_INLINE Scratch &of_thread() {  // looks its address up once
         static thread_local Scratch scratch;
         return scratch;
     }
@@ -97,8 +97,8 @@ public:
     }
 
 private:
-    // The spectrum of the columns, in panels of PANEL columns: first even frequencies, then odd ones; those with
-    // coefficients only.
+    // The spectrum of the columns, in panels of PANEL columns: even frequencies, then odd
+    // ones; only frequencies with coefficients.
     ALWAYS_INLINE void spectrum(const std::vector<Coefficient> &coefficients, size_t known, Scratch &scratch) const {
         const size_t columns = of_.columns, even = Cosines::frequencies(known, 0);
         scratch.panels.resize(columns * known + PANEL);
@@ -146,8 +146,8 @@ private:
         }
     }
 
-    // stages/dct.py, inverse: (frames, columns), of the frames that `poses` takes four at a time; of all frames if `out`
-    // has none, which is for timing.
+    // stages/dct.py, inverse: curves (frames, columns) of the frames that `poses` needs, four at a time; of all frames
+    // if `out` has none, for timing.
     ALWAYS_INLINE void curves(size_t known, Scratch &scratch, const Target &out) const {
         const size_t columns = of_.columns, frames = cosines_.frames, half = cosines_.half;
         const size_t last = std::min(frames, out.first + (out.last - out.first + 3) / 4 * 4);
@@ -178,13 +178,13 @@ private:
         }
     }
 
-    // Radians of the heading, metres of other rows.
+    // Dequantised value: radians for the heading, metres for other rows.
     ALWAYS_INLINE double value_of(const Coefficient &of) const {
         if (of.row < POSE) return double(of.value) * (of.row == HEADING ? heading_step_ : step_m_);
         return (double(of.value) - (of.value > 0 ? INWARD : -INWARD)) * step_m_;
     }
 
-    // Adds what the coefficients of `division.many` make of the curves.
+    // Adds the part of the curves from the coefficients `division.many`.
     ALWAYS_INLINE void add_components(size_t known, Scratch &scratch, const Target &out) const {
         const Division &of = scratch.division;
         const size_t columns = of_.columns, frames = cosines_.frames, count = of.rows.size();
@@ -195,7 +195,7 @@ private:
         for (size_t panel = 0; panel < columns / PANEL; ++panel) {
             for (size_t j = 0; j < count; ++j) {
                 double *to = packed + j * PANEL;
-                if (of.rows[j] < POSE)  // columns of their own
+                if (of.rows[j] < POSE)  // heading and place have their own columns
                     for (size_t c = 0; c < PANEL; ++c) to[c] = panel * PANEL + c == of_.dimensions + of.rows[j];
                 else
                     std::memcpy(to, basis + (of.rows[j] - POSE) * columns + panel * PANEL, PANEL * sizeof(double));
@@ -214,7 +214,7 @@ private:
         }
     }
 
-    // Of the rows of `division.many`, in blocks of TILE frames.
+    // Curves of the rows of `division.many`, in blocks of TILE frames.
     ALWAYS_INLINE void component_curves(size_t known, Scratch &scratch) const {
         const Division &of = scratch.division;
         const size_t frames = cosines_.frames, count = of.rows.size(), panels = (count + PANEL - 1) / PANEL;
@@ -243,7 +243,7 @@ private:
             }
     }
 
-    // So that the last frames are four, too.
+    // Pads the curves, so that the last block has four frames, too.
     ALWAYS_INLINE void repeat_last_frame(Scratch &scratch) const {
         const size_t columns = of_.columns;
         double *last = scratch.curves.data() + (cosines_.frames - 1) * columns;
@@ -284,14 +284,14 @@ private:
         }
     }
 
-    // One column of four frames.
+    // One column in four frames.
     ALWAYS_INLINE void column(Four &into, const double *curves, size_t number) const {
         const double *at = curves + number;
         const size_t next = of_.columns;
-        into = Four{at[0], at[next], at[2 * next], at[3 * next]};  // element by element, they would be read while written
+        into = Four{at[0], at[next], at[2 * next], at[3 * next]};  // not element by element, which would read while writing
     }
 
-    // pose/bone_directions.py, inverse: four poses, their mean in the origin.
+    // pose/bone_directions.py, inverse: four poses with their mean at the origin.
     ALWAYS_INLINE void directions(const Tree &tree, const double *curves, Scratch &scratch) const {
         scratch.frames.resize(36 * tree.slots);
         scratch.directions.resize(12 * (tree.bones + tree.ends.size() / 3));

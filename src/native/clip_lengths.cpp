@@ -1,4 +1,4 @@
-// The length of clips with the fewest bits, for codecs/hou2014/clip_segmentation.py: best_equal_length, to rounding.
+// Finds the clip length with the fewest bits, up to rounding, for codecs/hou2014/clip_segmentation.py, best_equal_length.
 
 #include <nanobind/stl/optional.h>
 
@@ -16,11 +16,11 @@ namespace {
 using cosine_series::PANEL;
 using cosine_series::Series;
 
-constexpr size_t TERMS = 16;  // of a product
-constexpr size_t LONGEST = 1 << 20;  // curve, frames
-constexpr double LARGEST = 1e6;  // curve, in steps: products of TERMS squares of coefficients must not overflow
+constexpr size_t TERMS = 16;  // factors of a product
+constexpr size_t LONGEST = 1 << 20;  // longest curve, frames
+constexpr double LARGEST = 1e6;  // largest curve value, in steps: products of TERMS squared coefficients must not overflow
 
-// Σ log₂ of products of columns.
+// Σ log₂, computed from products, for each column.
 class Logarithms {
 public:
     ALWAYS_INLINE void add(const double *row, double scale) {
@@ -51,7 +51,7 @@ private:
     size_t terms_ = 0;
 };
 
-// Σ log₂(1 + c²) of the coefficients c of one clip, of PANEL columns at most of curves (frames, columns).
+// Σ log₂(1 + c²) over the coefficients c of one clip, for the first `width` ≤ PANEL columns of curves (frames, columns).
 ALWAYS_INLINE double logarithms(const Series &series, const double *curves, size_t columns, size_t width, double *from, double *other) {
     Logarithms found;
     const double *spectrum = series.transposed(from, other, curves, columns, width);
@@ -69,7 +69,7 @@ WITH_AVX2 double logarithms_with_avx2(const Series &series, const double *curves
 }
 #endif
 
-// Clips of one length, the last one shorter, of curves of `frames` frames.
+// Clips of one length, the last one shorter, for curves of `frames` frames.
 class Clips {
 public:
     Clips(size_t frames, size_t length, double bits) : bits(bits), frames_(frames), length_(length) {
@@ -77,7 +77,7 @@ public:
         if (frames % length) series_.emplace_back(frames % length, frames % length, true);
     }
 
-    // clip_segmentation.bits_of_spectra of the first `width` columns.
+    // clip_segmentation.bits_of_spectra for the first `width` columns.
     double bits_of(const double *curves, size_t columns, size_t width) {
         double sum = 0;
         for (size_t start = 0; start < frames_; start += length_) {
@@ -96,7 +96,7 @@ public:
         return 0.5 * sum;
     }
 
-    double bits;  // of the clips, and of all columns so far
+    double bits;  // for the clips, and all columns so far
 
 private:
     size_t frames_, length_;
@@ -104,8 +104,8 @@ private:
     cosine_series::Rows from_, other_;
 };
 
-// clip_segmentation.best_equal_length of curves in steps (frames, columns): which of the lengths, or none for curves that are too
-// large. leads (columns): the bits that no length catches up with, behind each column.
+// clip_segmentation.best_equal_length: index of the best length. curves (frames, columns), in steps; leads (columns): lead in
+// bits that no length makes up after each column. Nothing for curves that are too large.
 std::optional<size_t> best_length(Input<double, 2> curves, Input<int64_t, 1> lengths, double bits_per_clip, Input<double, 1> leads) {
     const size_t frames = curves.shape(0), columns = curves.shape(1);
     if (!frames || !lengths.shape(0) || leads.shape(0) != columns) throw std::invalid_argument("best_length: shapes differ");

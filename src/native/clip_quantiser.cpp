@@ -1,4 +1,4 @@
-// Coefficients of clips to integers, for codecs/hou2014/quantised_motion.py. Floats by the same operations in the same order as there.
+// Quantises coefficients of clips, for codecs/hou2014/quantised_motion.py, with the same float operations in the same order.
 
 #include <algorithm>
 #include <cmath>
@@ -17,7 +17,7 @@ using Steps = Input<double, 1>;    // (clips), in the unit of the spectra
 
 constexpr double WHOLE = 4503599627370496.0;  // 2^52: larger doubles are integers
 
-// Magnitudes in steps: the largest of each frequency, and the sums over the clips (frequencies, components).
+// Magnitudes in steps: the largest of each frequency, and sums over the clips (frequencies, components).
 ALWAYS_INLINE void add_magnitudes(const Spectra &spectra, const Steps &steps, double *largest, double *sums) {
     const size_t frequencies = spectra.shape(1), k = spectra.shape(2);
     std::vector<double> tops(k);
@@ -47,13 +47,13 @@ ALWAYS_INLINE int64_t bits_of(double value) {
     return bits;
 }
 
-// ⌊value⌋ of a value from 0 to 2^52.
+// ⌊value⌋ for 0 ≤ value < 2^52.
 ALWAYS_INLINE int64_t floor_of(double value) {
     const double nearest = (value + WHOLE) - WHOLE, whole = nearest - double(nearest > value);
     return bits_of(whole + WHOLE) - bits_of(WHOLE);
 }
 
-// Integers (clips, known, components) of the lowest `known` frequencies. bits (known, components): of a step of a coefficient.
+// Integers (clips, known, components) of the lowest `known` frequencies. bits (known, components): cost of a step of magnitude.
 ALWAYS_INLINE void quantise(const Spectra &spectra, const Steps &steps, const Input<double, 2> &bits, const Rounding &limits, int64_t *out) {
     const size_t frequencies = spectra.shape(1), k = spectra.shape(2), count = bits.shape(0) * k;
     const auto [half_economy, sign_below, least, most] = limits;
@@ -89,7 +89,7 @@ WITH_AVX2 void quantise_with_avx2(const Spectra &spectra, const Steps &steps, co
 }
 #endif
 
-// Calls the twin of a function for this processor.
+// Calls the version of a function for this processor.
 template <class Function, class... Arguments>
 void for_processor(Function anywhere, [[maybe_unused]] Function with_avx2, Arguments &&...arguments) {
 #ifdef HAS_AVX2_TWIN
@@ -109,7 +109,7 @@ void require_steps(const Spectra &spectra, const Steps &steps) {
     if (!spectra.shape(0) || steps.shape(0) != spectra.shape(0)) throw std::invalid_argument("clips: shapes differ");
 }
 
-// quantised_motion._magnitudes: the largest of each frequency, and the means over the clips.
+// quantised_motion._magnitudes: the largest of each frequency, and means over the clips.
 nb::tuple clip_magnitudes(Spectra spectra, Steps steps) {
     require_steps(spectra, steps);
     const size_t frequencies = spectra.shape(1), k = spectra.shape(2);
@@ -132,7 +132,7 @@ Output<int64_t> clip_integers(Spectra spectra, Steps steps, Input<double, 2> bit
     return out.give({clips, known, k});
 }
 
-// quantised_motion._smooth_magnitudes: along frequencies, then along components, with the ends repeated.
+// quantised_motion._smooth_magnitudes: along frequencies, then along components; the ends repeat.
 Output<double> smooth_magnitudes(Input<double, 2> magnitudes) {
     const size_t frequencies = magnitudes.shape(0), k = magnitudes.shape(1);
     Fresh<double> out(frequencies * k);
@@ -148,7 +148,7 @@ Output<double> smooth_magnitudes(Input<double, 2> magnitudes) {
     return out.give({frequencies, k});
 }
 
-// stream._extent: rows and columns up to the last that is not zero.
+// stream._extent: numbers of rows and columns up to the last nonzero.
 nb::tuple integers_extent(Input<int64_t, 2> integers) {
     const size_t columns = integers.shape(1);
     size_t rows = 0, used = 0;

@@ -1,4 +1,4 @@
-// Positions of clips from their integers, for codecs/hou2014/stream.py: reconstruct, to rounding.
+// Positions of clips from their integers, up to rounding, for codecs/hou2014/stream.py, reconstruct.
 
 #include <nanobind/stl/vector.h>
 
@@ -14,7 +14,7 @@ using cosine_series::PANEL;
 using cosine_series::Rows;
 using cosine_series::Series;
 
-constexpr size_t GROUP = 4;  // panels of columns that a row of coefficients is multiplied into at a time
+constexpr size_t GROUP = 4;  // panels of columns that are multiplied at a time
 
 // Bᵀ of each left transform with the mean pose below it, (transforms, components + 1, columns), in groups of columns.
 class Matrices {
@@ -32,7 +32,7 @@ public:
             }
     }
 
-    // (rows, PANEL · panels of the group)
+    // A group's matrix (rows, PANEL · panels of the group).
     const double *group(size_t transform, size_t first) const {
         return of_.data() + (transform * panels + first) * rows * PANEL;
     }
@@ -48,10 +48,10 @@ struct Coefficient {
     double value;
 };
 
-// The coefficients of a clip that are not zero.
+// Nonzero coefficients of a clip.
 struct Sparse {
     std::vector<Coefficient> of;
-    std::vector<size_t> ends;  // of each frequency
+    std::vector<size_t> ends;  // end of each frequency's coefficients
 
     void read(const int64_t *rows, size_t known, size_t components, double scale) {
         of.clear(), ends.clear();
@@ -63,7 +63,7 @@ struct Sparse {
     }
 };
 
-// Spectra (frequencies, PANEL) of PANELS panels, times the scales of the series, each `pitch` doubles behind the one before.
+// Spectra (frequencies, PANEL) of PANELS panels, times the scales of the series. pitch: doubles from panel to panel.
 template <size_t PANELS>
 ALWAYS_INLINE void multiply(const Sparse &sparse, const double *matrix, size_t components, const Series &series, double *to, size_t pitch) {
     const Coefficient *at = sparse.of.data();
@@ -92,7 +92,7 @@ struct Buffers {
     Rows spectra, other;
 };
 
-// One clip into out (frames, columns).
+// Writes one clip to out (frames, columns).
 ALWAYS_INLINE void synthesise(const Sparse &sparse, const Matrices &matrices, size_t transform, const Series &series, double *out, Buffers &buffers) {
     const size_t size = series.buffer(), columns = matrices.columns, components = matrices.rows - 1;
     double *spectra = buffers.spectra.of(GROUP * size), *other = buffers.other.of(size);
@@ -121,7 +121,8 @@ WITH_AVX2 void synthesise_with_avx2(const Sparse &sparse, const Matrices &matric
 }
 #endif
 
-// stream.reconstruct, into out (frames, columns). coefficients: S_iᵀ, clip after clip. series, transform_index, steps: of each clip.
+// stream.reconstruct to out (frames, columns). coefficients: S_iᵀ, clip by clip;
+// series, transform_index, steps: of each clip.
 void reconstruct_clips(Input<int64_t, 2> coefficients, std::vector<const Series *> series, Input<int64_t, 1> transform_index,
                        Input<double, 1> steps, Input<double, 3> matrices, InPlace<double, 2> out) {
     const size_t components = coefficients.shape(1), clips = series.size();

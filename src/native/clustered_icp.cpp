@@ -1,5 +1,5 @@
-// Iterative closest points of rigid parts among clustered data points, for geometry/icp.py and geometry/articulated_icp.py;
-// neighbourhoods of points, for geometry/normals.py.
+// ICP (iterative closest point) of rigid parts against clustered data points, for geometry/icp.py and
+// geometry/articulated_icp.py; normals, for geometry/normals.py.
 //
 //     model points ──nearest of the allowed clusters──► data points ──rigid──► model points, again
 
@@ -14,8 +14,8 @@
 
 namespace {
 
-constexpr size_t CANDIDATES = 5;  // points among which the nearest is looked for while a part moves little
-constexpr int SWEEPS = 30;  // of Jacobi rotations, at most; five are usual
+constexpr size_t CANDIDATES = 5;  // cached nearest points of a model point, searched while the part moves little
+constexpr int SWEEPS = 30;  // most sweeps of Jacobi rotations; five are typical
 
 // out = the rotation that turns p closest to q, from Σ p qᵀ: the largest eigenvector of Horn's 4 × 4 matrix (1987).
 void closest_rotation(const double *s, double *out) {
@@ -87,14 +87,13 @@ void smallest_eigenvector(const double *covariance, double *out) {
     for (int d = 0; d < 3; ++d) out[d] = adjugate[3 * d + column] / length;
 }
 
-// icp.ClusteredTree: data points for queries that are each matched within some clusters.
+// icp.ClusteredTree: data points; a query matches only within its allowed clusters.
 class ClusteredPoints {
 public:
     ClusteredPoints(Input<double, 2> points, Input<uint8_t, 1> clusters) : tree_(points, clusters) {}
 
-    // icp.icp_many: model points (n, 3) of parts of these sizes, one after another; allowed (n): the clusters that each is
-    // matched within, as bits; pivots (parts, 3), NaN for a free part. Returns R (parts, 3, 3), t (parts, 3) and the errors
-    // of each part.
+    // icp.icp_many. points (n, 3): model points, part by part; sizes: of the parts; allowed (n): bit mask of a point's
+    // clusters; pivots (parts, 3), NaN for a free part. Returns R (parts, 3, 3), t (parts, 3) and the errors of each part.
     nb::tuple icp(Input<double, 2> points, Input<uint64_t, 1> allowed, Input<int64_t, 1> sizes, Input<double, 2> pivots,
                   int iterations, double tolerance) const {
         const size_t parts = sizes.shape(0), n = points.shape(0);
@@ -118,9 +117,9 @@ public:
         return nb::make_tuple(r.give({parts, 3, 3}), t.give({parts, 3}), errors);
     }
 
-    // articulated_icp.ArticpTracker._fit_links, of links (m) in an order in which parents come first. a (links, 3, 3) and
-    // b (links, 3) are moved in place. points (n, 3), allowed (n): of the model, link after link from starts (links + 1) on.
-    // origins (links, 3): joints in the canonical pose; is_free (links): whether they may move. subtrees (links, links).
+    // articulated_icp.ArticpTracker._fit_links for links (m), parents first. Updates a (links, 3, 3) and b (links, 3)
+    // in place. points (n, 3), allowed (n): of the model, link by link, with first indices starts (links + 1). origins
+    // (links, 3): joints in the canonical pose; is_free (links): whether they may move; subtrees (links, links).
     void fit_links(InPlace<double, 3> a, InPlace<double, 2> b, Input<int64_t, 1> links, Input<double, 2> points,
                    Input<int64_t, 1> starts, Input<uint64_t, 1> allowed, Input<double, 2> origins, Input<uint8_t, 1> is_free,
                    Input<uint8_t, 2> subtrees, int iterations, double tolerance) const {
@@ -156,10 +155,10 @@ private:
         for (size_t d = 0; d < 3; ++d) out[d] += b.data()[3 * link + d];
     }
 
-    // The points that a model point may be matched with: the nearest ones to the place from which they were searched.
+    // Cached candidates for matching a model point: the nearest points at the time of the last search.
     struct Candidates {
         std::array<double, 3> from;
-        double reach = -1;  // no other allowed point is nearer to `from`
+        double reach = -1;  // distance from `from` to the farthest candidate; other allowed points are farther
         std::array<int32_t, CANDIDATES> numbers;
         size_t count = 0;
     };
@@ -172,7 +171,7 @@ private:
             const double square = squared_distance(place, tree_.at(own.numbers[i]));
             if (square < best) best = square, found = own.numbers[i];
         }
-        // no other point can be nearer while the place has moved by less than the lead over points that are no candidates
+        // a candidate is nearest while its distance plus the motion since the search is less than `reach`
         if (found >= 0 && std::sqrt(best) + std::sqrt(squared_distance(place, own.from.data())) <
                               (1 - PointTree::ROUNDING) * own.reach)
             return {found, best};
@@ -185,7 +184,7 @@ private:
         return {nearest[0].second, nearest[0].first};
     }
 
-    // ICP of one part; moves its points. pivot: none for a free part. Returns the mean squared error before each step.
+    // ICP of one part; moves its points. pivot: null for a free part. Returns the mean squared error before each step.
     std::vector<double> fit(std::vector<double> &moved, const uint64_t *allowed, const double *pivot, int iterations,
                             double tolerance, double *r, double *t) const {
         const size_t n = moved.size() / 3;
@@ -214,7 +213,7 @@ private:
         return errors;
     }
 
-    // The rigid transform of the points onto those they are matched with, applied to them and to R and t.
+    // Finds the rigid transform of the points onto their matches, and applies it to the points, R and t.
     void step(std::vector<double> &moved, const std::vector<int32_t> &matched, const double *pivot, double *r, double *t) const {
         const size_t n = matched.size();
         double centre_p[3] = {0, 0, 0}, centre_q[3] = {0, 0, 0}, covariance[9] = {};
@@ -249,7 +248,7 @@ private:
     const PointTree tree_;
 };
 
-// out (3) = the normal of a surface at a place: the direction of least variance of the points around it.
+// out (3) = surface normal at a place: the direction of least variance of the points around it.
 template <class Point>
 void normal_at(const double *place, size_t count, const Point &point, double *out) {
     double mean[3] = {0, 0, 0}, sums[9] = {};
@@ -264,7 +263,7 @@ void normal_at(const double *place, size_t count, const Point &point, double *ou
     smallest_eigenvector(sums, out);
 }
 
-// normals.estimate: unit normals (n, 3) at places (n, 3), from the `neighbours` points nearest to each of points (m, 3).
+// normals.estimate: unit normals (n, 3) at places (n, 3), each from its nearest `neighbours` among points (m, 3).
 Output<double> surface_normals(Input<double, 2> places, Input<double, 2> points, size_t neighbours) {
     const size_t n = places.shape(0), m = points.shape(0);
     if (places.shape(1) != 3 || points.shape(1) != 3 || !m || neighbours < 1)

@@ -1,5 +1,5 @@
-// Data points in a k-d tree, for geometry/icp.py and geometry/normals.py. Each node knows the clusters of its points, so that
-// a query skips what it does not allow.
+// Data points in a k-d tree, for geometry/icp.py and geometry/normals.py. Each node has the clusters of its points, so
+// that a query skips nodes without allowed points.
 #pragma once
 
 #include <algorithm>
@@ -20,10 +20,10 @@ public:
     static constexpr uint64_t ALL = ~uint64_t(0);
     static constexpr double ROUNDING = 1e-12;
 
-    // The points nearest to a place, nearest first: squared distances and numbers in the order of the tree.
+    // Points nearest to a place, nearest first: squared distances and indices in tree order.
     using Nearest = std::vector<std::pair<double, int32_t>>;
 
-    // points (n, 3), metres; clusters (n), below 64.
+    // points (n, 3), metres; clusters (n), each below 64.
     PointTree(Input<double, 2> points, Input<uint8_t, 1> clusters) {
         const size_t n = points.shape(0);
         if (points.shape(1) != 3 || clusters.shape(0) != n || !n) throw std::invalid_argument("ClusteredPoints: shapes differ");
@@ -39,7 +39,7 @@ public:
 
     const double *at(int32_t number) const { return points_[size_t(number)].at.data(); }
 
-    // Up to `wanted` allowed points nearest to a place, below a squared distance of `limit`; the others at ∞.
+    // Finds the up to `wanted` nearest allowed points with squared distances below `limit`; unused entries are at ∞.
     void search(const double *place, uint64_t allowed, size_t wanted, double limit, Nearest &nearest) const {
         nearest.assign(wanted, {limit, -1});
         std::pair<int32_t, double> stack[128];
@@ -74,7 +74,7 @@ public:
     }
 
 private:
-    static constexpr size_t LEAF = 14;  // points of a leaf, at most
+    static constexpr size_t LEAF = 14;  // most points of a leaf
 
     struct Point {
         std::array<double, 3> at;

@@ -1,5 +1,5 @@
-// The serial loops of codecs/tempo/coding: contexts, rate–distortion optimised quantisation, rANS lanes. Bytes depend only
-// on integers, and on floats by the same operations in the same order as in the NumPy code that each kernel replaces.
+// Serial loops of codecs/tempo/coding: contexts, rate–distortion optimised quantisation, rANS lanes. Bytes depend only
+// on integers, and on float operations in the same order as in the NumPy code that each kernel replaces.
 
 #include <algorithm>
 #include <cmath>
@@ -15,7 +15,7 @@ using namespace contexts;
 
 using Integers = std::vector<int64_t>;
 
-// contexts.lookup: constants for looking up tables, the first frequency of each group, the shape of each frequency.
+// contexts.lookup: constants of the table look-up, the first frequency of each group, the shape of each frequency.
 struct Lookup {
     const int64_t *numerator_logs, *class_of, *starts, *shapes;
     int64_t numerators, classes, first_class, groups, frequencies;
@@ -29,7 +29,7 @@ using Table = Input<int64_t, 1>;
 
 Lookup lookup(const Table &numerator_logs, const Table &class_of, int64_t first_class, const Table &starts,
               const Table &shapes, size_t frequencies) {
-    if (shapes.shape(0) < frequencies) throw std::invalid_argument("contexts: a shape for each frequency");
+    if (shapes.shape(0) < frequencies) throw std::invalid_argument("contexts: each frequency needs a shape");
     return {numerator_logs.data(), class_of.data(), starts.data(), shapes.data(), int64_t(numerator_logs.shape(0)),
             int64_t(class_of.shape(0)), first_class, int64_t(starts.shape(0)), int64_t(frequencies)};
 }
@@ -49,7 +49,7 @@ public:
         return values_.data() + (frequency + DEPTH - size_t(by)) * pitch_ + BORDER;
     }
 
-    // contexts.around, and the logarithm of its sum, for rows [0, wanted).
+    // Logarithm of the sum of contexts.around, for rows [0, wanted).
     void logs(size_t frequency, size_t wanted, const Lookup &of, Integers &out) const {
         const int32_t *b1 = below(frequency, 1), *b2 = below(frequency, 2), *b3 = below(frequency, 3);
         const int32_t *b4 = below(frequency, 4), *b5 = below(frequency, 5), *b6 = below(frequency, 6);
@@ -94,8 +94,8 @@ void all_tables(const Field &field, const int64_t *base, const Lookup &of, int64
     }
 }
 
-// quantise.quantise, for the frequencies up to the last nonzero one: values (frequencies, rows), threshold of the coded
-// zone, and bits. free: the first row whose integers are chosen by rate and distortion.
+// quantise.quantise: values (frequencies, rows) up to the last nonzero frequency, threshold of the coded zone, and
+// bits. free: the first row with rate–distortion optimised integers.
 nb::tuple tempo_quantise(Input<double, 2> scaled, Input<int64_t, 2> base, Input<int64_t, 2> reached,
                          Input<double, 1> price, double slope, double inward, int64_t free, Table numerator_logs,
                          Table class_of, int64_t first_class, Table starts, Table shapes) {
@@ -176,8 +176,8 @@ nb::tuple tempo_quantise(Input<double, 2> scaled, Input<int64_t, 2> base, Input<
     return nb::make_tuple(values.give({frequencies, rows}), threshold, spent[size_t(threshold - lowest + 1)]);
 }
 
-// Visits the coded coefficients of a chunk in order: within a group frequency by frequency and row by row, on the lanes in
-// turn; each group begins a new step. Calls visit(step, lane, frequency, row), and group(g) before each group.
+// Visits the coded coefficients of a chunk in coding order: within a group by frequency, then row, on the lanes in
+// turn. Each group begins a new step. Calls visit(step, lane, frequency, row), and group(g) before each group.
 template <class Group, class Visit>
 size_t in_order(const Lookup &of, const int64_t *reach, size_t rows, size_t lanes, Group group, Visit visit) {
     size_t steps = 0;
@@ -195,13 +195,13 @@ size_t in_order(const Lookup &of, const int64_t *reach, size_t rows, size_t lane
     return steps;
 }
 
-// The slots of a symbol in a table: `frequency` of them from `start` on.
+// Slots of a symbol in a table: `frequency` slots from `start` on.
 struct Slot {
     uint32_t frequency, start;
 };
 
-// symbol_streams.encode for one chunk: final states (lanes,) and words. coder_frequencies, coder_starts: of every symbol in
-// every table; listed, listed_tables (n,): symbols after the coefficients; first (lanes,): initial states.
+// symbol_streams.encode for one chunk: final states (lanes,) and words. coder_frequencies, coder_starts (tables,
+// symbols); listed, listed_tables (n,): symbols after the coefficients; first (lanes,): initial states.
 nb::tuple tempo_encode(Input<int64_t, 2> values, Input<int64_t, 2> base, Table reach, size_t lanes,
                        Input<int64_t, 2> coder_frequencies, Input<int64_t, 2> coder_starts, Table listed,
                        Table listed_tables, Table first, Table numerator_logs, Table class_of, int64_t first_class,
@@ -212,7 +212,7 @@ nb::tuple tempo_encode(Input<int64_t, 2> values, Input<int64_t, 2> base, Table r
         throw std::invalid_argument("tempo_encode: shapes differ");
     const Lookup of = lookup(numerator_logs, class_of, first_class, starts, shapes, frequencies);
     std::vector<Slot> slots;
-    std::vector<size_t> begins;  // of each step among the slots; the last lanes of a step may be idle
+    std::vector<size_t> begins;  // first slot of each step; the last lanes of a step may be idle
     auto put = [&](size_t step, int64_t table, int64_t symbol) {
         const size_t at = size_t(table) * symbols + size_t(symbol);
         const Slot slot{uint32_t(coder_frequencies.data()[at]), uint32_t(coder_starts.data()[at])};
@@ -249,8 +249,8 @@ nb::tuple tempo_encode(Input<int64_t, 2> values, Input<int64_t, 2> base, Table r
     return nb::make_tuple(states.give({lanes}), sequence.give({sequence.size}));
 }
 
-// symbol_streams.decode for one chunk: symbols (frequencies, rows), symbols of the lists (n,), the states that are left
-// (lanes,), and how many words were taken; more than there are means damage. packed, symbols: of lanes.StaticTables.
+// symbol_streams.decode for one chunk: symbols (frequencies, rows), symbols of the lists (n,), final states (lanes,),
+// and the number of words read; more than exist means damage. packed, symbols: lanes.StaticTables.
 nb::tuple tempo_decode(Input<int64_t, 2> base, Table reach, size_t rows, Table first, Input<uint16_t, 1> words,
                        Table packed, Table symbols, Table listed_tables, Table numerator_logs, Table class_of,
                        int64_t first_class, Table starts, Table shapes) {

@@ -1,5 +1,5 @@
-// How the curves of many columns are found from few components (models/model.py, synthesise). The inverse DCT of all columns
-// costs more than that of the components, where few components have most of the frequencies:
+// Curves of many columns from few components (models/model.py, synthesise). If few components have most of the
+// frequencies, the inverse DCT of these components costs less than that of all columns:
 //
 //   components of few frequencies ─basis─► spectrum of columns ─inverse DCT─► curves ──┐
 //   all others, heading, place ─inverse DCT─► curves of components ─basis─► curves ────┴─ + ─► curves (frames, columns)
@@ -12,21 +12,21 @@
 
 namespace chunks {
 
-constexpr size_t MANY_COLUMNS = 256;  // of fewer columns, the inverse DCT is quick
+constexpr size_t MANY_COLUMNS = 256;  // with fewer columns, the inverse DCT is fast
 
-// The coefficients of a chunk, divided: `few` of components that have up to `frequencies` frequencies, `many` of all others.
+// The coefficients of a chunk, divided: `few`: of components with at most `frequencies` frequencies; `many`: all others.
 struct Division {
-    std::vector<size_t> rows, place;  // those of `many`; where each row is among them
+    std::vector<size_t> rows, place;  // rows of `many`; index of each row among them
     std::vector<Coefficient> few, many;
     size_t frequencies = 0;
 
-    // False where dividing does not pay. Costs are in products of half of the frames and all columns.
+    // False if dividing saves nothing. Costs are in products of half of the frames and all columns.
     bool divide(const std::vector<Coefficient> &all, size_t known, size_t columns) {
         if (columns < MANY_COLUMNS || !known) return false;
         size_t last_row = POSE;
         for (const Coefficient &each : all) last_row = std::max<size_t>(last_row, each.row);
         reach_.assign(last_row + 1, 0);
-        for (const Coefficient &each : all) reach_[each.row] = each.frequency + 1;  // they come in the order of frequencies
+        for (const Coefficient &each : all) reach_[each.row] = each.frequency + 1;  // `all` is sorted by frequency
         rows_of_.assign(known + 1, 0);
         for (size_t r = POSE; r <= last_row; ++r) ++rows_of_[reach_[r]];
         size_t least = known, beyond = POSE;
@@ -47,7 +47,7 @@ struct Division {
 private:
     bool has_many(size_t row) const { return row < POSE || reach_[row] > frequencies; }
 
-    std::vector<size_t> reach_, rows_of_;  // number of frequencies of each row; number of rows by frequencies
+    std::vector<size_t> reach_, rows_of_;  // number of frequencies of each row; number of rows by number of frequencies
 };
 
 }  // namespace chunks

@@ -1,4 +1,4 @@
-// Constants that decide bytes of codecs/tempo/coding and entropy: of lanes, contexts and symbols.
+// Constants of lanes, contexts and symbols, on which the bytes of codecs/tempo/coding and entropy depend.
 #pragma once
 
 #include <cstddef>
@@ -11,7 +11,7 @@ namespace contexts {
 constexpr int PRECISION = 12;
 constexpr uint32_t TOTAL = 1u << PRECISION, LOWEST = 1u << 16;
 
-// rans.push of one symbol; its word moves out first where the state is full.
+// rans.push for one symbol; moves a word out first if the state is full.
 inline void push(uint32_t &x, uint32_t frequency, uint32_t start, std::vector<uint16_t> &words) {
     if (x >= uint64_t(frequency) << (32 - PRECISION)) {
         words.push_back(uint16_t(x));

@@ -1,13 +1,13 @@
-// Cosine series of any length in eight columns at a time: stages/dct.py, inverse and forward, to rounding.
+// Cosine series of any length, eight columns at a time: stages/dct.py, inverse and forward, up to rounding.
 //
-//   coefficients ─► halving: sums of half as many cosines ─► samples                     where the frames are halved well
+//   coefficients ─► halving: sums of half as many cosines ─► samples                     if the frames halve often enough
 //   coefficients ─► halving ─► samples of a coarse grid ─16 taps─► samples               for all other numbers of frames
 //
-// Halving is Lee's recursion ("A new algorithm to compute the discrete cosine transform", 1984): x(n) and x(N − 1 − n) are the
-// sum and the difference of two series of N / 2 samples. The grid has b · 2^j samples, so it is always halved well, and
-// OVERSAMPLING times as many as there are frequencies. The window that interpolates it is sinh(β √(1 − z²)), whose Fourier
-// transform is a Bessel function (Potts and Tasche, "Continuous window functions for NFFT", 2021). Its error is less than
-// 1e-11 of the coefficient at the highest frequencies and 1e-14 at low ones. The forward transform is the transpose of all steps.
+// Halving is Lee's recursion ("A new algorithm to compute the discrete cosine transform", 1984): x(n) and x(N − 1 − n)
+// are the sum and the difference of two series of N / 2 samples. The grid has b · 2^j samples, which halve well, and
+// OVERSAMPLING times as many samples as frequencies. The interpolation window is sinh(β √(1 − z²)); its Fourier transform
+// is a Bessel function (Potts and Tasche, "Continuous window functions for NFFT", 2021). The error is below 1e-11 of the
+// coefficient at the highest frequencies and 1e-14 at low ones. The forward transform is the transpose of all steps.
 #pragma once
 
 #include <algorithm>
@@ -17,7 +17,7 @@
 
 #include "vectors.h"
 
-#if defined(__GNUC__)  // a lambda that is called with AVX2, as ALWAYS_INLINE
+#if defined(__GNUC__)  // ALWAYS_INLINE for lambdas, which are called from AVX2 code
 #define ALWAYS_INLINE_LAMBDA __attribute__((always_inline))
 #else
 #define ALWAYS_INLINE_LAMBDA
@@ -25,14 +25,14 @@
 
 namespace cosine_series {
 
-constexpr size_t PANEL = 8, TILE = 4;  // columns and samples that are computed at a time
+constexpr size_t PANEL = 8, TILE = 4;  // columns and samples computed at a time
 constexpr size_t TAPS = 16;
 constexpr double OVERSAMPLING = 1.6, PI = 3.14159265358979323846;
 
 ALWAYS_INLINE void load(Four (&into)[2], const double *from) { ::load(into[0], from), ::load(into[1], from + 4); }
 ALWAYS_INLINE void store(const Four (&from)[2], double *into) { ::store(from[0], into), ::store(from[1], into + 4); }
 
-// Memory whose rows of PANEL doubles are lines of the cache.
+// Memory with rows of PANEL doubles aligned to cache lines.
 struct Rows {
     double *of(size_t doubles) {
         memory.resize(doubles + PANEL);
@@ -47,7 +47,7 @@ class Halving {
 public:
     Halving() = default;
 
-    // forward: for `transposed` too.
+    // forward: also prepares `transposed`.
     Halving(size_t samples, size_t levels, size_t known, bool forward = false) : base_(samples >> levels), counts_{known} {
         for (size_t level = 0; level < levels; ++level) {
             const size_t size = samples >> level;
@@ -74,17 +74,17 @@ public:
         }
     }
 
-    // Operations for a sample.
+    // Operations a sample.
     static double cost(size_t levels, size_t known) {
         return 6.0 * double(levels) + double(known >> levels) + (levels ? 1.0 : 0.0);
     }
 
     size_t samples() const { return base_ << secants_.size(); }
     size_t known() const { return counts_[0]; }
-    // Rows of PANEL doubles that each of the two buffers of `run` needs.
+    // Size of each buffer of `run`, in rows of PANEL doubles.
     size_t rows() const { return std::max(samples(), counts_.back() << secants_.size()); }
 
-    // From the first `known()` rows of `from`, which are lost; returns where the samples are, `from` or `other`.
+    // Input: the first `known()` rows of `from`, overwritten. Returns the buffer with the samples, `from` or `other`.
     ALWAYS_INLINE double *run(double *from, double *other) const {
         const size_t levels = secants_.size();
         for (size_t level = 0; level < levels; ++level) {
@@ -101,7 +101,7 @@ public:
         return from;
     }
 
-    // The transpose of `run`: Σ x(n) cos(π (2n + 1) k / 2N), (known, PANEL), of the samples in `from`.
+    // The transpose of `run`: Σ x(n) cos(π (2n + 1) k / 2N), (known, PANEL), for the samples in `from`.
     ALWAYS_INLINE double *transposed(double *from, double *other) const {
         const size_t levels = secants_.size();
         for (size_t level = 0; level < levels; ++level) {
@@ -121,7 +121,7 @@ public:
 private:
     size_t frequencies(size_t parity) const { return (counts_.back() + 1 - parity) / 2; }
 
-    // X(2k), and X(2k − 1) + X(2k + 1).
+    // Splits X into X(2k), and X(2k − 1) + X(2k + 1).
     ALWAYS_INLINE void split(size_t level, size_t block, const double *from, double *to) const {
         const size_t known = counts_[level], count = counts_[level + 1];
         const double *x = from + block * known * PANEL;
@@ -184,7 +184,7 @@ private:
         }
     }
 
-    // The transpose of `sum`; the samples are lost.
+    // The transpose of `sum`; overwrites the samples.
     ALWAYS_INLINE void sum_of_samples(double *x, double *out) const {
         for (size_t n = 0; n < base_ / 2; ++n) {
             Four a[2], b[2];
@@ -204,7 +204,7 @@ private:
             }
     }
 
-    // The series of `base_` samples by the matrix: cosines of even frequencies are symmetric about the middle.
+    // The series of `base_` samples as a matrix product: cosines of even frequencies are symmetric about the middle.
     ALWAYS_INLINE void sum(const double *x, double *out) const {
         const size_t half = (base_ + 1) / 2;
         for (size_t first = 0; first < half; first += TILE) {
@@ -239,15 +239,15 @@ private:
     }
 
     size_t base_ = 0;
-    std::vector<size_t> counts_;  // of known frequencies on each level
+    std::vector<size_t> counts_;  // number of known frequencies on each level
     std::vector<std::vector<double>> secants_;
-    std::vector<double> cosines_[2], turned_[2];  // of even and of odd frequencies, for TILE samples, and for TILE frequencies
+    std::vector<double> cosines_[2], turned_[2];  // of even and odd frequencies, for TILE samples, and for TILE frequencies
 };
 
 // The orthonormal inverse DCT of the lowest `known` frequencies of `frames` frames.
 class Series {
 public:
-    // forward: for `transposed` too.
+    // forward: also prepares `transposed`.
     Series(size_t frames, size_t known, bool forward = false) : frames_(frames), scales_(known) {
         size_t levels = 0;
         double least = Halving::cost(0, known);
@@ -267,12 +267,12 @@ public:
 
     size_t frames() const { return frames_; }
     size_t known() const { return scales_.size(); }
-    double scale(size_t k) const { return scales_[k]; }  // of the coefficients that `run` takes
-    // Doubles; best where a row of PANEL is a line of the cache.
+    double scale(size_t k) const { return scales_[k]; }  // factor of the inputs of `run`
+    // Size of a buffer, doubles; align rows of PANEL to cache lines.
     size_t buffer() const { return (std::max(halving_.rows(), firsts_.empty() ? 0 : frames_) + 2 * MARGIN) * PANEL; }
 
-    // Samples of PANEL columns of coefficients times `scale`, (known, PANEL) behind the first MARGIN rows of `from`, into the
-    // first `width` columns of rows, `pitch` doubles from each to the next. from, other: `buffer()` doubles each.
+    // Inverse DCT of PANEL columns of coefficients times `scale`, (known, PANEL), after the first MARGIN rows of `from`.
+    // Writes the first `width` columns to rows of `out`, `pitch` doubles apart. from, other: `buffer()` doubles each.
     ALWAYS_INLINE void run(double *from, double *other, double *out, size_t pitch, size_t width) const {
         if (width == PANEL) run(from, other, [=](size_t t, const Four(&row)[2]) ALWAYS_INLINE_LAMBDA { store(row, out + t * pitch); });
         else
@@ -283,7 +283,7 @@ public:
             });
     }
 
-    // The transpose of `run`: coefficients (known, PANEL) before `scale`, of samples (frames, width).
+    // The transpose of `run`: coefficients (known, PANEL), before `scale`, from samples (frames, width).
     ALWAYS_INLINE const double *transposed(double *from, double *other, const double *in, size_t pitch, size_t width) const {
         if (width == PANEL)
             return transposed(from, other, [=](size_t t, Four(&row)[2]) ALWAYS_INLINE_LAMBDA { load(row, in + t * pitch); });
@@ -370,7 +370,7 @@ private:
         into[0] *= *weight, into[1] *= *weight;
     }
 
-    // Weights of the window, and its Fourier transform in the scales.
+    // Computes the window's weights, and divides the scales by its Fourier transform.
     void interpolate(size_t grid) {
         const double half = TAPS / 2.0, shape = TAPS * PI * (1 - 0.5 * double(known()) / double(grid));
         for (size_t k = 0; k < known(); ++k) {
@@ -381,7 +381,7 @@ private:
         for (size_t t = 0; t < frames_; ++t) {
             const double at = double(grid) * (double(t) + 0.5) / double(frames_) - 0.5;
             const double left = std::floor(at);
-            starts_[t] = uint32_t(int64_t(left) + 1);  // MARGIN rows stand before the first sample
+            starts_[t] = uint32_t(int64_t(left) + 1);  // MARGIN rows before the first sample
             for (size_t i = 0; i < TAPS; ++i) {
                 const double z = (at - left + double(MARGIN - 1) - double(i)) / half;
                 weights_[t * TAPS + i] = std::sinh(shape * std::sqrt(std::max(0.0, 1 - z * z)));
@@ -389,7 +389,7 @@ private:
         }
     }
 
-    // The weights of the frames around each sample of the grid and its margins.
+    // Transposes the weights: for each sample of the grid and its margins, those of the frames around it.
     void turn_weights(size_t grid) {
         firsts_.assign(grid + 2 * MARGIN, 0), counts_.assign(grid + 2 * MARGIN, 0);
         turned_.clear();
@@ -402,7 +402,7 @@ private:
         }
     }
 
-    // I₁(x) / x, by its series.
+    // I₁(x) / x, from its power series.
     static double bessel_i1_over(double x) {
         const double square = x * x / 4;
         double term = 0.5, sum = term;
@@ -416,9 +416,9 @@ private:
     const size_t frames_;
     std::vector<double> scales_;
     Halving halving_;
-    std::vector<uint32_t> starts_;  // of each frame's taps in the samples with their margin
+    std::vector<uint32_t> starts_;  // first sample of each frame's taps, margin included
     std::vector<double> weights_;   // (frames, TAPS)
-    std::vector<uint32_t> firsts_, counts_;  // of the frames whose taps are at each sample with its margin
+    std::vector<uint32_t> firsts_, counts_;  // frames with taps at each sample, margin included
     std::vector<double> turned_;             // weights of these frames
 };
 

@@ -1,6 +1,6 @@
 // Octree of lattice points cube by cube, for codecs/bodycast/cube_octree.py, which defines the results. Integers only.
 //
-//     centres of the cubes around ─► where the surface passes a cube ─► expected points of its children ─► bits
+//     centres of the cubes around ─► estimated surface in a cube ─► expected points of its children ─► bits
 //           ▲ centre of its children ◄────────────────────────────────────────────────────────────────┘
 
 #include <cstring>
@@ -15,10 +15,10 @@ constexpr int CUBES_OF_SAMPLE = 4;
 constexpr int64_t LARGEST_SPACING = 1 << 16, LARGEST_DISTANCE = 1 << 25, LARGEST_DEVIATION = 1 << 20;
 constexpr int64_t SAMPLE_WEIGHT = 5120, USUAL_WEIGHT = 1024, LEAST_VARIANCE = 16;
 constexpr int64_t DENSITY = 1634, LARGEST_DENSITY = 1 << 24, MOST_EXPECTED = 1 << 19, TWO = 2 << 16;
-constexpr int64_t BEYOND = int64_t(1) << 40;  // distance from which on all classes and weights are the same
+constexpr int64_t BEYOND = int64_t(1) << 40;  // all classes and weights are equal beyond this distance
 constexpr int LEAST_ODDS = 16;
 
-// A byte for each bit of the numbers from 0 to 255, the lowest first.
+// The bits of each number from 0 to 255 as bytes, the lowest first.
 struct BytesOfBits {
     uint64_t of[256] = {};
     constexpr BytesOfBits() {
@@ -29,8 +29,8 @@ struct BytesOfBits {
 
 constexpr BytesOfBits BYTES;
 
-// The cubes of a level. neighbours: rows before and behind along every axis, the number of cubes if empty. known: occupied
-// octants; one cube more, which stays empty.
+// The cubes of a level. neighbours: indices before and behind along every axis; size(): none. known: occupied octants,
+// with one extra cube that stays empty.
 struct Cubes {
     std::vector<uint64_t> codes{0};
     std::vector<std::array<int32_t, 3>> places{{0, 0, 0}};
@@ -73,13 +73,13 @@ struct Cubes {
     }
 };
 
-// What is expected of the children of a cube that can be occupied: classes of the odds of each while no octant is known to be
-// occupied, and where one is; classes of its distance.
+// Contexts of the children of a cube that can be occupied: classes of their odds while no octant is known to be
+// occupied [0], and when one is [1]; classes of their distances.
 struct Expected {
     uint8_t narrow[2][8], wide[2][8], distance[8];
 };
 
-// Where the surface passes the cubes of a level. Lengths are in subunits.
+// Estimates the surface within the cubes of a level. Lengths are in subunits.
 class Passage {
 public:
     Passage(const Surface &surface, const Cubes &cubes, int level, size_t points, const int32_t *bell)
@@ -106,7 +106,7 @@ public:
             classify_samples(surface, cubes.codes, level, [&](size_t i, size_t octant, uint8_t kind) { samples_[i][octant] = kind; });
     }
 
-    // What is expected of `COUNT` children, 8 or the two of the last level, of cube i, which has a sample.
+    // Contexts of the `COUNT` children (8, or 2 on the last level) of cube i, which has a sample.
     template <int COUNT>
     void expect(size_t i, Expected &of) const {
         const int32_t own = cubes_.nearest[i];
@@ -130,7 +130,7 @@ public:
         classify<COUNT>(odds, of.wide);
     }
 
-    // The occupied children of cube i are known.
+    // Updates the estimate with the occupied children of cube i.
     void learn(size_t i) {
         const int32_t row = shown_by_[i];
         if (row < 0) return;
@@ -145,11 +145,11 @@ public:
     int samples(size_t i, int octant) const { return samples_[i][size_t(octant)]; }
 
 private:
-    // What a cube shows of the surface: its centre, or that of its children if some are known.
+    // A cube's observation of the surface: its centre, or that of its children if some are known.
     struct Shown {
         std::array<int32_t, 3> place;
         int32_t children;
-        Place normal;  // of its sample
+        Place normal;  // normal of the cube's sample
     };
 
     Place centre(size_t i) const { return Surface::centre_of(cubes_.places[i], 2 * side_); }
@@ -157,7 +157,7 @@ private:
     // The centre of the first child along an axis.
     int32_t corner_of(int32_t place) const { return int32_t(place * 2 * side_ + side_ / 2 - HALF_UNIT); }
 
-    // At most CUBES_OF_SAMPLE cubes of each sample, sample by sample.
+    // Selects at most CUBES_OF_SAMPLE cubes of each sample, sample by sample.
     void find_shown() {
         std::vector<int32_t> first(surface_.size() + 1, 0);
         for (int32_t s : cubes_.nearest)
@@ -180,8 +180,8 @@ private:
         }
     }
 
-    // share_: of the side of a child by which `upper` of `count` children move their centre. least_: of the quotient that is a
-    // weight, by the number of children.
+    // share_[count][upper]: shift of the centre of `count` children with `upper` of them in the upper half.
+    // least_[count]: constant part of a weight's denominator, by the number of children.
     void fill_tables() {
         for (int64_t count = 1; count <= 8; ++count)
             for (int64_t upper = 0; upper <= count; ++upper) share_[size_t(count)][size_t(upper)] = int32_t(upper * side_ / count);
@@ -191,8 +191,8 @@ private:
         }
     }
 
-    // Rows of what the cubes of a sample and of its neighbours show; returns their number. Writes CUBES_OF_SAMPLE rows for each
-    // sample, so that there is no branch that nothing predicts.
+    // Finds the observations of the cubes of a sample and of its neighbours; returns their number. Writes
+    // CUBES_OF_SAMPLE rows for each sample, which avoids an unpredictable branch.
     int find_rows(int32_t own, int32_t *rows) const {
         const int32_t *around = surface_.around(own), *first = first_shown_.data();
         int count = 0;
@@ -205,7 +205,7 @@ private:
         return count;
     }
 
-    // The distance of the surface from that of the sample of cube i, and its variance.
+    // Distance from the plane of cube i's sample to the estimated surface, and its variance.
     void find_surface(size_t i, int64_t &offset, int64_t &variance) const {
         constexpr int MOST = (NEIGHBOURS + 1) * CUBES_OF_SAMPLE;
         int32_t rows[MOST + CUBES_OF_SAMPLE];
@@ -223,7 +223,7 @@ private:
             below[n] = double(13 * (a * a + b * b + c * c) + least_[size_t(other.children)]);
             away[n] = far + (along >> (NORMAL_BITS + 1));
         }
-        const double above = double(spacing_ * spacing_ << 16);  // below 2^49, so quotients of floats are exact enough
+        const double above = double(spacing_ * spacing_ << 16);  // below 2^49, so float quotients are exact enough
         int32_t weights[MOST];
         for (int n = 0; n < count; ++n) weights[n] = int32_t(above / below[n]);
         int64_t total = 0, sum = 0, spread = USUAL_WEIGHT * usual_;
@@ -262,12 +262,12 @@ private:
         }
     }
 
-    // The odds of each child while no octant is known to be occupied, and where one is, for a standard deviation. Integers in
-    // floats, which are exact: below 2^48.
+    // Odds of each child while no octant is known to be occupied [0], and when one is [1], for a standard deviation.
+    // Floats hold exact integers below 2^48.
     template <int COUNT>
     void find_odds(const double *magnitudes, int64_t sigma, double (*odds)[COUNT]) const {
         const uint32_t most = uint32_t(std::min(density_ * side_ / (sigma * 256), MOST_EXPECTED));
-        // Too large by 2^-50, so that quotients that are integers stay those when they are rounded down.
+        // Larger by a factor 1 + 2^-50, so that rounding down keeps quotients that are integers.
         const double per_deviation = BELL_PER_DEVIATION / double(sigma) * (1 + 1.0 / (int64_t(1) << 50)), last = BELL_STEPS;
         double steps[COUNT], expected[COUNT], others[COUNT];
         int32_t bells[COUNT], whole[COUNT];
@@ -285,7 +285,7 @@ private:
         }
     }
 
-    // Classes of odds: the binary order and the two digits after the first.
+    // Classes of odds: the binary exponent and the next two bits.
     template <int COUNT>
     static void classify(double (*odds)[COUNT], uint8_t (*classes)[8]) {
         for (int is_known = 0; is_known < 2; ++is_known)
@@ -297,7 +297,7 @@ private:
             }
     }
 
-    // The root of an integer below 2^52, rounded down.
+    // Square root of an integer below 2^52, rounded down.
     static int64_t root(int64_t square) { return int64_t(std::sqrt(double(square))); }
 
     const Surface &surface_;
@@ -307,7 +307,7 @@ private:
     const int side_bits_;
     const int64_t spacing_;
     std::vector<int64_t> far_;
-    std::vector<int32_t> shown_by_, first_shown_;  // rows of what cubes show: of a cube, NOWHERE without; the first of a sample
+    std::vector<int32_t> shown_by_, first_shown_;  // observation of each cube, or NOWHERE; first observation of each sample
     std::vector<Shown> shown_;
     std::vector<std::array<uint8_t, 8>> samples_;
     int64_t usual_ = 0, density_ = 0, least_[9] = {};
@@ -319,8 +319,8 @@ class Tree {
 public:
     Tree(int depth, const Surface *surface, const int32_t *bell) : depth_(depth), surface_(surface), bell_(bell) {}
 
-    // Codes a frame. codes: of the points, null in the decoder. Returns whether the bytes were a tree of `points` points;
-    // `failed_level` and `failed_cubes` say where they were not.
+    // Codes a frame. codes: of the points, null in the decoder. Returns whether the bytes are a tree of `points`
+    // points; if not, `failed_level` and `failed_cubes` say where.
     template <class Coder>
     bool code(Coder &coder, const uint64_t *codes, size_t points) {
         for (int level = 0; level < depth_; ++level) {
@@ -353,7 +353,7 @@ private:
             code_cubes<8>(coder, level, points, occupied);
     }
 
-    // COUNT: octants of a cube that can be occupied.
+    // COUNT: number of octants of a cube that can be occupied.
     template <int COUNT, class Coder>
     void code_cubes(Coder &coder, int level, size_t points, const uint8_t *occupied) {
         Expected of;
@@ -385,7 +385,7 @@ private:
         return COUNT == 8 ? place : place * LATTICE_STEP;
     }
 
-    // hint: what is known of the surface, as weight sets have it. passage: None without a surface.
+    // hint: weight-set index of the knowledge about the surface. passage: null without a surface.
     template <int COUNT, class Coder>
     void code_cube(Coder &coder, size_t i, int level, int hint, const Expected &of, const Passage *passage, const uint8_t *occupied) {
         const int height = depth_ - level, tall = std::min(height, 15);
@@ -407,7 +407,7 @@ private:
             coder.fetch(counters);
         };
         const uint32_t first_set = uint32_t(std::min(height, 20) * 12 + hint);
-        uint32_t counters[2][bits::INPUTS];  // of the next bit, after a 0 and after a 1
+        uint32_t counters[2][bits::INPUTS];  // counters of the next bit, after a 0 and after a 1
         unsigned known = 0;
         int bit = 0;
         set_counters(counters[0], 0, 0);
@@ -429,13 +429,13 @@ private:
         cubes_.known[i] = uint8_t(known);
     }
 
-    // around (8): of each octant, the contexts from the cubes beside cube i. Returns the class of their number.
+    // around (8): for each octant, the context from the cubes beside cube i. Returns the class of their number.
     int find_neighbours(size_t i, uint8_t *around) const {
         static constexpr unsigned LOWER[] = {0x55, 0x33, 0x0F};
         const std::array<int32_t, 6> &rows = cubes_.neighbours[i];
         const int32_t end = int32_t(cubes_.size());
         int filled = 0;
-        uint64_t all = 0;  // a byte for each octant
+        uint64_t all = 0;  // one byte for each octant
         for (int axis = 0; axis < 3; ++axis) {
             const int32_t before = rows[size_t(2 * axis)], behind = rows[size_t(2 * axis + 1)];
             const unsigned outer = (before < end ? LOWER[axis] : 0) | (behind < end ? 255 - LOWER[axis] : 0);

@@ -1,4 +1,4 @@
-// The inverse DCT of a chunk (stages/dct.py, inverse) in tiles of frames and columns that stay in registers.
+// Inverse DCT of a chunk (stages/dct.py, inverse), in tiles of frames and columns that fit into registers.
 #pragma once
 
 #include <cmath>
@@ -11,7 +11,7 @@ namespace chunks {
 
 constexpr size_t PANEL = 8, TILE = 4;  // columns and frames of a tile
 
-// Cosines of the inverse DCT: of even and odd frequencies, in blocks of TILE samples of the first half.
+// Cosines of the inverse DCT, for even and odd frequencies, in blocks of TILE samples of the first half.
 struct Cosines {
     explicit Cosines(size_t frames) : frames(frames), half((frames + 1) / 2), blocks((half + TILE - 1) / TILE) {
         const double pi = 3.14159265358979323846;
@@ -33,7 +33,7 @@ struct Cosines {
         }
     }
 
-    // How many even or odd frequencies there are among the first `known`.
+    // Number of even or odd frequencies among the first `known`.
     static size_t frequencies(size_t known, size_t parity) { return (known + 1 - parity) / 2; }
 
     const double *block(size_t number, size_t parity) const {

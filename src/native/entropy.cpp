@@ -1,4 +1,4 @@
-// The serial loops of entropy/: packed bits, and the coder of one state. Integers only.
+// Serial loops of entropy/: packed bits, and the coder with one state. Integers only.
 
 #include <algorithm>
 #include <numeric>
@@ -18,7 +18,7 @@ using Table = Input<int64_t, 1>;
 
 constexpr uint32_t LOWEST = 1u << 16;  // rans.LOW
 
-// bits.pack: each value in its own number of bits, highest first, as an array of 0 and 1.
+// bits.pack: values as an array of 0 and 1, each in widths[i] bits, highest first.
 Output<uint8_t> entropy_pack_bits(Table values, Table widths) {
     const size_t count = values.shape(0);
     if (widths.shape(0) != count) throw std::invalid_argument("entropy_pack_bits: shapes differ");
@@ -46,11 +46,11 @@ Output<int64_t> entropy_unpack_bits(Input<uint8_t, 1> bits, Table widths) {
     return out.give({count});
 }
 
-// The coder of one state: 14-bit probabilities.
+// The coder with one state has 14-bit probabilities.
 constexpr int FINE_PRECISION = 14;
 constexpr uint64_t FINE_TOTAL = 1u << FINE_PRECISION;
 
-// neighbours._means: each lane's running mean before each step, × 256, from the tokens (steps, lanes) and its first value.
+// neighbours._means: running mean of each lane before each step, × 256, from tokens (steps, lanes) and first values (lanes).
 Output<int32_t> entropy_means(Input<uint8_t, 2> tokens, Input<int32_t, 1> first) {
     const size_t steps = tokens.shape(0), lanes = tokens.shape(1);
     if (first.shape(0) != lanes) throw std::invalid_argument("entropy_means: shapes differ");
@@ -65,7 +65,7 @@ Output<int32_t> entropy_means(Input<uint8_t, 2> tokens, Input<int32_t, 1> first)
     return out.give({steps, lanes});
 }
 
-// Symbols in the order of decoding, and raw bits behind them: one_state.StateEncoder.
+// Codes symbols, given in decoding order, and raw bits after them: one_state.StateEncoder.
 class Encoder {
 public:
     void put(int64_t frequency, int64_t start) {
@@ -120,9 +120,8 @@ nb::bytes entropy_encode(Table frequencies, Table starts, Input<uint8_t, 1> raw)
     return encoder.finish();
 }
 
-// coder._pack_one: the bytes of numbers (steps, lanes) and their tokens. heads: the table of each parameter × width + its value,
-// in the tables of parameters; ladder: the law of each expected token in sixteenths; the last of the tables is of what escapes
-// are beyond their law.
+// coder._pack_one: bytes of numbers (steps, lanes) and their tokens. heads: for each parameter, table × width + value, in
+// the tables of parameters; ladder: law of each expected token (unit 1/16). The last table codes the excess of escapes.
 nb::bytes entropy_pack_one(Input<int64_t, 2> numbers, Input<uint8_t, 2> tokens, Input<uint8_t, 2> hints, Table mixture,
                            Input<uint8_t, 1> ladder, Table frequency, Table start, Table sizes, Table heads, Table head_frequency,
                            Table head_start) {
@@ -161,7 +160,7 @@ nb::bytes entropy_pack_one(Input<int64_t, 2> numbers, Input<uint8_t, 2> tokens, 
             if (token >= last) put(tables - 1, size_t(token - last));
             row[lane + 2] = token;
             if (lane == 0) row[1] = token;
-            if (step == 0) up[lane + 3] = up2[lane + 3] = token;  // the nearest value inside the array
+            if (step == 0) up[lane + 3] = up2[lane + 3] = token;  // outside the array the nearest value counts
             mean[lane] += ((token << 8) - mean[lane]) >> mean_shift(int64_t(step));
         }
         std::swap(up2, up);
@@ -177,8 +176,8 @@ nb::bytes entropy_pack_one(Input<int64_t, 2> numbers, Input<uint8_t, 2> tokens, 
     return encoder.finish();
 }
 
-// choice._counts: how often each token (below `most`) occurs under each rung that each mixture gives it, (mixtures, rungs, most);
-// how many tokens are active, how many of them are counted, and how many there are.
+// choice._counts: counts (mixtures, rungs, most) of tokens below `most` under the rung that each mixture expects; then
+// the numbers of active tokens, of counted active tokens, and of all tokens.
 nb::tuple entropy_counts(Input<uint8_t, 2> tokens, Input<uint8_t, 2> hints, Table rungs, Input<int64_t, 2> mixtures, size_t laws,
                          size_t most, size_t counted) {
     const size_t steps = tokens.shape(0), lanes = tokens.shape(1), size = steps * lanes;
@@ -236,7 +235,7 @@ nb::tuple entropy_counts(Input<uint8_t, 2> tokens, Input<uint8_t, 2> hints, Tabl
     return nb::make_tuple(counts.give({mixes, rows, most}), active.size(), some, size);
 }
 
-// coder._decode_tokens: tokens (steps, lanes), the state, and how many words were used.
+// coder._decode_tokens: tokens (steps, lanes), the state, and the number of words read.
 nb::tuple entropy_decode(Table frequency, Table start, Input<uint8_t, 1> symbols, Table sizes, size_t width,
                          size_t excess, Input<uint8_t, 1> ladder, Table mixture, uint64_t x, size_t at,
                          Input<uint16_t, 1> words, size_t steps, size_t lanes, Input<uint8_t, 2> hints) {
@@ -264,8 +263,8 @@ nb::tuple entropy_decode(Table frequency, Table start, Input<uint8_t, 1> symbols
     return nb::make_tuple(out.give({steps, lanes}), x, at);
 }
 
-// The loop of one_state.StateDecoder.raw: whole bytes, then the bits that are left, from the low end of the state; in the
-// order in which they leave it, with the state and how many words were used.
+// Loop of one_state.StateDecoder.raw: reads whole bytes, then single bits, from the low end of the state. Returns them
+// in this order, the state, and the number of words read.
 nb::tuple entropy_raw(uint64_t x, size_t at, Input<uint16_t, 1> words, size_t bits) {
     Fresh<uint8_t> out(bits / 8 + 1);
     const size_t end = words.shape(0);

@@ -10,10 +10,10 @@
 
 namespace {
 
-constexpr size_t WIDTH = 16;  // columns that are reflected together: their sums stay in registers
+constexpr size_t WIDTH = 16;  // columns reflected together: their sums fit into registers
 
-// basis._mirror, of rows i … n − 1 of column i of `entries` (n, k). Sums here and below are from the first row to the last, as
-// in NumPy: bytes depend on them.
+// basis._mirror for rows i … n − 1 of column i of `entries` (n, k). All sums run from the first row to the last, as in
+// NumPy: bytes depend on them.
 void mirror_of(const int64_t *entries, size_t n, size_t k, size_t i, double *u) {
     double squares = 0;
     for (size_t r = i; r < n; ++r) {
@@ -58,14 +58,14 @@ ALWAYS_INLINE void subtract(Row &from, const Row &row, double times) {
     from.c = from.c - row.c * times, from.d = from.d - row.d * times;
 }
 
-// uᵀ of rows i … n − 1 of a panel (n, WIDTH).
+// sums = uᵀ · rows i … n − 1 of a panel (n, WIDTH).
 ALWAYS_INLINE void sums_along(const double *u, size_t i, size_t n, const double *panel, Row &sums) {
     Row row;
     clear(sums);
     for (size_t r = i; r < n; ++r) read(row, panel + r * WIDTH), add(sums, row, u[r]);
 }
 
-// I − 2uuᵀ of rows i … n − 1, where `along` is uᵀ of them.
+// Multiplies rows i … n − 1 by I − 2uuᵀ. along: uᵀ · these rows.
 ALWAYS_INLINE void reflect(const double *u, size_t i, size_t n, const Row &along, double *panel) {
     Row row;
     for (size_t r = i; r < n; ++r) {
@@ -75,8 +75,8 @@ ALWAYS_INLINE void reflect(const double *u, size_t i, size_t n, const Row &along
     }
 }
 
-// The same by the mirrors (k, n) from 0 up to count, or from count down to 0. One pass over the rows reflects them and sums
-// what the next reflection needs.
+// Reflects a panel by mirrors (k, n), from 0 up to count or from count down to 0. One pass over the rows reflects them
+// and computes the sums of the next reflection.
 ALWAYS_INLINE void reflect_all(const double *mirrors, size_t n, size_t count, bool downwards, double *panel) {
     if (!count) return;
     size_t i = downwards ? count - 1 : 0;
@@ -102,7 +102,7 @@ ALWAYS_INLINE void reflect_all(const double *mirrors, size_t n, size_t count, bo
     reflect(mirrors + i * n, i, n, along, panel);
 }
 
-// Columns first … of a matrix (n, k) as a panel, and back.
+// Copies columns first … of a matrix (n, k) to a panel, and back.
 void read_panel(const double *matrix, size_t n, size_t k, size_t first, double *panel) {
     const size_t count = std::min(WIDTH, k - first);
     for (size_t r = 0; r < n; ++r) std::copy_n(matrix + r * k + first, count, panel + r * WIDTH);
@@ -113,7 +113,7 @@ void write_panel(const double *panel, size_t n, size_t k, size_t first, double *
     for (size_t r = 0; r < n; ++r) std::copy_n(panel + r * WIDTH, count, matrix + r * k + first);
 }
 
-// basis._decompose: each panel by the mirrors of the columns before it, then its columns one by one.
+// basis._decompose: reflects each panel by the mirrors of earlier columns, then by its own, one by one.
 ALWAYS_INLINE void decompose(const double *basis, const double *scales, size_t n, size_t k, int64_t *entries) {
     std::vector<double> mirrors(n * k), panel(n * WIDTH);
     for (size_t first = 0; first < k; first += WIDTH) {
@@ -125,14 +125,14 @@ ALWAYS_INLINE void decompose(const double *basis, const double *scales, size_t n
             for (size_t r = i; r < n; ++r) entries[r * k + i] = int64_t(std::nearbyint(sign * rest[r * WIDTH] * scales[i]));
             double *u = mirrors.data() + i * n;
             mirror_of(entries, n, k, i, u);
-            Row along;  // columns up to i are not read again
+            Row along;  // columns up to i are not needed again
             sums_along(u, i, n, panel.data(), along);
             reflect(u, i, n, along, panel.data());
         }
     }
 }
 
-// basis._compose, of k ≤ n columns. A mirror leaves a column of the identity before it as it is.
+// basis._compose for k ≤ n columns. A mirror does not change earlier columns of the identity.
 ALWAYS_INLINE void compose(const int64_t *entries, size_t n, size_t k, double *basis) {
     std::vector<double> mirrors(n * k), panel(n * WIDTH);
     for (size_t i = 0; i < k; ++i) mirror_of(entries, n, k, i, mirrors.data() + i * n);
@@ -158,7 +158,7 @@ bool has_avx2() {
 }
 #endif
 
-// basis._decompose: rounded entries (n, k) of an orthonormal basis (n, k) in multiples of 1 / scales (k).
+// basis._decompose: entries (n, k) of an orthonormal basis (n, k), rounded to multiples of 1 / scales (k).
 Output<int64_t> basis_decompose(Input<double, 2> basis, Input<double, 1> scales) {
     const size_t n = basis.shape(0), k = basis.shape(1);
     if (scales.shape(0) != k || k > n) throw std::invalid_argument("basis_decompose: shapes differ");
@@ -191,10 +191,10 @@ Output<double> basis_compose(Input<int64_t, 2> entries) {
     return out.give({n, k});
 }
 
-// basis._signs_of_reflections, of the corner (k, k) of orthonormal columns.
+// basis._signs_of_reflections for the corner (k, k) of orthonormal columns.
 Output<double> basis_signs(Input<double, 2> corner, double zero) {
     const size_t k = corner.shape(0);
-    if (corner.shape(1) != k) throw std::invalid_argument("basis_signs: a corner that is not square");
+    if (corner.shape(1) != k) throw std::invalid_argument("basis_signs: the corner is not square");
     std::vector<double> left(corner.data(), corner.data() + k * k);
     Fresh<double> out(k);
     for (size_t i = 0; i < k; ++i) {
@@ -210,7 +210,7 @@ Output<double> basis_signs(Input<double, 2> corner, double zero) {
     return out.give({k});
 }
 
-// basis._sum_differences: rows of values (n, k), in place, from their differences from earlier rows, −1 for none.
+// basis._sum_differences: adds to rows of values (n, k), in place, the earlier rows `alike`; −1: none.
 void basis_sum_differences(InPlace<int64_t, 2> values, Input<int64_t, 1> alike, size_t leading) {
     const size_t n = values.shape(0), k = values.shape(1);
     if (alike.shape(0) != n || leading > k) throw std::invalid_argument("basis_sum_differences: shapes differ");

@@ -8,26 +8,26 @@
 
 namespace {
 
-constexpr int SWEEPS = 4;          // of coordinate descent over the three angles
+constexpr int SWEEPS = 4;          // sweeps of coordinate descent over the three angles
 constexpr double ROUNDING = 1e-9;  // radians beyond a range that still count as inside
 
-// The same angle between −π and π.
+// The angle, wrapped into −π … π.
 double wrapped(double angle) { return angle - 2 * PI * std::nearbyint(angle / (2 * PI)); }
 
-// The angle of a range nearest to an angle.
+// The angle clamped to a range.
 double clamped(double angle, double centre, double half_width) {
     return centre + std::clamp(wrapped(angle - centre), -half_width, half_width);
 }
 
-// Coordinate descent from a triple of angles: each angle in turn is set to the one within its range for which
-// Rx Ry Rz is nearest to `target`, given the other two. `result` becomes that product; returns its inner product with
-// `target`, which is greatest where the two are nearest.
+// Coordinate descent from a triple of angles: sets each angle in turn to the value within its range for which Rx Ry Rz
+// is nearest to `target`, given the other two. Writes the product to `result`; returns its inner product with `target`,
+// which grows as they get nearer.
 double descend(const double *target, const double *centre, const double *half_width, double *angles, double *result) {
     double rotations[3][9], part[9];
     for (int d = 0; d < 3; ++d) rotation_about(d, angles[d] = clamped(angles[d], centre[d], half_width[d]), rotations[d]);
     for (int sweep = 0; sweep < SWEEPS; ++sweep)
         for (int d = 0; d < 3; ++d) {
-            // n: the trace of (rotation about d) n is greatest where the product of all three is nearest to the target
+            // n: maximising the trace of (rotation about d) n brings the product of all three nearest to the target
             double later[9] = {1, 0, 0, 0, 1, 0, 0, 0, 1}, n[9];
             for (int other = d + 1; other < 3; ++other) multiply(later, rotations[other], part), std::copy_n(part, 9, later);
             multiply(later, target, n, true);
@@ -50,7 +50,7 @@ bool nearest_allowed(const double *limit, const double *rotation, double *allowe
     double m[9], part[9];
     multiply(before, rotation, part);
     multiply(part, after, m);
-    // both triples of angles whose Rx Ry Rz is m
+    // the two triples of angles with Rx Ry Rz = m
     double angles[2][3] = {{std::atan2(-m[5], m[8]), std::atan2(m[2], std::hypot(m[0], m[1])), std::atan2(-m[1], m[0])}};
     for (int d = 0; d < 3; ++d) angles[1][d] = PI + (d == 1 ? -1 : 1) * angles[0][d];
     for (const auto &triple : angles) {

@@ -1,5 +1,5 @@
-// Rotations of joints from the positions of their targets, forward kinematics, and errors at shell points: the twins of
-// codecs/tempo/rotation_layer/solve.py and shell.py, which say what each step is for.
+// Joint rotations from targets, forward kinematics, and errors at shell points. codecs/tempo/rotation_layer/solve.py
+// and shell.py have the same steps and explain them.
 
 #include "algebra3.h"
 #include "arrays.h"
@@ -60,7 +60,7 @@ Output<double> world_rotations(Input<double, 3> local, Input<int64_t, 1> parents
     return world.give({frames, joints, 4});
 }
 
-// As geometry.kinematics.forward, without translations.
+// geometry.kinematics.forward, without translations.
 Output<double> forward_kinematics(Input<double, 3> local, Input<double, 2> roots, Input<int64_t, 1> parents,
                                   Input<double, 2> offsets, bool own_frame) {
     const size_t frames = local.shape(0), joints = local.shape(1);

@@ -1,5 +1,5 @@
-// Rotations of joints from the positions of their targets: the twin of codecs/tempo/rotation_layer/solve.py, which says
-// what each step is for. T is one frame (double) or four (Four), with the same operations in the same order.
+// Joint rotations from targets. codecs/tempo/rotation_layer/solve.py has the same steps and explains them. T is one
+// frame (double) or four (Four), with the same operations in the same order.
 #pragma once
 
 #include "lanes3.h"
@@ -171,9 +171,8 @@ struct Tables {
     const HingeFloats *hinge_floats;
 };
 
-// Frames side by side, as many as T has lanes: targets (joints, 3) and side values to local rotations, positions and
-// world rotations. All memory belongs to the caller; `aims` has room for three numbers of every carried vector, `terms`
-// for every hinge.
+// Solves as many frames as T has lanes: from targets (joints, 3) and side values to local rotations, positions and world
+// rotations. The caller owns all memory; `aims` has three numbers for every carried vector, `terms` three for every hinge.
 template <class T>
 struct Solver {
     Tables of_all;
@@ -301,7 +300,7 @@ struct Solver {
     }
 };
 
-// All frames of a motion, as many at a time as T has lanes; the last ones are repeated to fill the lanes.
+// Solves all frames of a motion, as many at a time as T has lanes; the last frame repeats to fill the lanes.
 template <class T>
 ALWAYS_INLINE void solve(const Tables &tables, size_t frames, size_t values, size_t aimed, size_t hinges,
                          const double *targets, const double *side, double *local, double *positions) {

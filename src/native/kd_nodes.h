@@ -1,5 +1,4 @@
-// The nodes of a k-d tree: rows split at the median of the axis along which they are widest. `kd_tree.h` and
-// `nearest_others.h` search them.
+// Nodes of a k-d tree: rows split at the median of their widest axis. `kd_tree.h` and `nearest_others.h` search them.
 #pragma once
 
 #include <algorithm>
@@ -11,9 +10,9 @@
 template <typename Value>
 struct KdNode {
     size_t first, last;  // rows order[first] to order[last − 1]
-    int axis = -1;       // that the node is split along; −1 for a leaf
-    Value low, high;     // the greatest coordinate of the first child along the axis, the least of the second
-    size_t second;       // the second child; the first follows its parent
+    int axis = -1;       // axis of the split; −1: leaf
+    Value low, high;     // greatest coordinate of the first child along the axis, least of the second
+    size_t second;       // the second child; the first child follows its parent
 };
 
 template <typename Value>
@@ -21,7 +20,7 @@ struct KdNodes {
     std::vector<size_t> order;  // all rows in the order of the leaves
     std::vector<KdNode<Value>> nodes;
 
-    // value(row, axis): a coordinate. leaf: points of a leaf, at most, if they differ.
+    // value(row, axis): a coordinate. leaf: most points of a leaf, unless they are equal.
     template <typename Coordinate>
     void build(size_t count, int dimensions, size_t leaf, const Coordinate &value) {
         order.resize(count);

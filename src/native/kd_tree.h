@@ -1,4 +1,4 @@
-// A k-d tree over the points of a frame, with their colours as three more coordinates where they have colours.
+// A k-d tree over the points of a frame. Colours, if any, are three more coordinates.
 #pragma once
 
 #include <algorithm>
@@ -13,7 +13,7 @@
 
 class KdTree {
   public:
-    // points (n, 3), metres; colours (n, 3), scaled to metres, or (0, 3) for a tree of places alone.
+    // points (n, 3), metres; colours (n, 3), scaled to metres, or (0, 3): none.
     KdTree(Input<double, 2> points, Input<double, 2> colours)
         : count(points.shape(0)), coloured(colours.shape(0) > 0), dimensions(coloured ? 6 : 3), values(count * dimensions) {
         if (points.shape(1) != 3 || (coloured && (colours.shape(0) != count || colours.shape(1) != 3)))
@@ -32,11 +32,11 @@ class KdTree {
 
     const double *point(size_t row) const { return &values[row * dimensions]; }
 
-    // All rows in the order of the tree's leaves: neighbours in space are neighbours here.
+    // All rows in the order of the leaves: neighbours in space are neighbours in this order.
     const std::vector<size_t> &spatial_order() const { return tree.order; }
 
-    // The row nearest to a query of `dimensions` coordinates at a squared distance below `limit`, −1 if there is none.
-    // `limit` becomes its squared distance.
+    // The row nearest to a query of `dimensions` coordinates, with a squared distance below `limit`; −1: none. Sets
+    // `limit` to its squared distance.
     int64_t nearest(const double *query, double &limit) const {
         int64_t found = -1;
         double offsets[6] = {0, 0, 0, 0, 0, 0};
@@ -44,7 +44,7 @@ class KdTree {
         return found;
     }
 
-    // As `nearest`, but faster if row `guess` is near the query; −1 for no guess.
+    // `nearest`, but faster if row `guess` is near the query; −1: no guess.
     int64_t nearest_from(int64_t guess, const double *query, double &limit) const {
         if (guess >= 0) {
             double sum = 0;
@@ -58,7 +58,7 @@ class KdTree {
         return found < 0 ? guess : found;
     }
 
-    // As SciPy's KDTree.query: (n,) distances and rows; ∞ and `count` where no point is nearer than `limit`.
+    // SciPy's KDTree.query: (n,) distances and rows; ∞ and `count` if no point is nearer than `limit`.
     nb::tuple query(Input<double, 2> queries, double limit) const {
         if (queries.shape(1) != size_t(dimensions)) throw std::invalid_argument("KdTree.query: shapes differ");
         const size_t n = queries.shape(0);
@@ -87,7 +87,7 @@ class KdTree {
                     const size_t index[3] = {x, y, z};
                     double centre[3], limit = std::numeric_limits<double>::infinity();
                     for (int d = 0; d < 3; ++d) centre[d] = low.data()[d] + cell * (double(index[d]) + 0.5);
-                    if (z) {  // the row of the cell before is a good upper bound
+                    if (z) {  // the previous cell's row gives a good upper bound
                         const double *guess = point(size_t(rows.data[at - 1]));
                         limit = 0;
                         for (int d = 0; d < 3; ++d) limit += squared(centre[d] - guess[d]);
@@ -103,7 +103,7 @@ class KdTree {
     const int dimensions;
 
   private:
-    static constexpr size_t LEAF = 12;  // points of a leaf, at most
+    static constexpr size_t LEAF = 12;  // most points of a leaf
 
     // box_distance: squared distance of the query from the node's box; offsets: its distance along each axis.
     void visit(size_t at, const double *query, double &limit, int64_t &found, double box_distance, double *offsets) const {
@@ -129,6 +129,6 @@ class KdTree {
         offsets[node.axis] = before;
     }
 
-    std::vector<double> values, sorted;  // coordinates by rows, and in the order of the leaves
+    std::vector<double> values, sorted;  // coordinates in row order, and in leaf order
     KdNodes<double> tree;
 };

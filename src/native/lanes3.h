@@ -1,5 +1,5 @@
-// Vectors of 3, quaternions and 3 × 3 matrices of one frame (double) or of four side by side (Four): the same operations
-// in the same order, so the same bits.
+// Vectors of 3, quaternions and 3 × 3 matrices for one frame (double) or four at a time (Four), with the same
+// operations in the same order and so equal bits.
 #pragma once
 
 #include "vectors.h"
@@ -10,7 +10,7 @@ namespace joint_solver {
 
 constexpr double TINY = 1e-12;
 
-// Functions of one number that a vector needs lane by lane.
+// Applies a function of one number, lane by lane.
 template <class F>
 ALWAYS_INLINE double each(F f, double x) { return f(x); }
 template <class F>
@@ -43,7 +43,7 @@ ALWAYS_INLINE T arctangent(const T &y, const T &x) {
     return each([](double a, double b) { return std::atan2(a, b); }, y, x);
 }
 
-// Vectors of three; U, V: constant numbers (double) or T.
+// Vectors of 3; U, V: constants (double) or T.
 
 template <class T, class U, class V>
 ALWAYS_INLINE T inner(const U *u, const V *v) { return u[0] * v[0] + u[1] * v[1] + u[2] * v[2]; }
@@ -105,7 +105,7 @@ ALWAYS_INLINE void about(const double *axis, const T &angle, T *out) {
     for (int i = 0; i < 3; ++i) out[1 + i] = s * axis[i];
 }
 
-// Matrix of a quaternion of any length, as that of the unit quaternion.
+// Matrix of a quaternion, which need not be a unit quaternion.
 template <class T>
 ALWAYS_INLINE void matrix_of(const T *q, T *m) {
     const T w = q[0], x = q[1], y = q[2], z = q[3];
@@ -131,7 +131,7 @@ ALWAYS_INLINE void quaternion_of(const T *m, T *q) {
     normalise<4>(q);
 }
 
-// Columns along a, in the plane of a and b, and normal to both.
+// A frame of columns: along a; in the plane of a and b; normal to both.
 template <class T>
 ALWAYS_INLINE void pair_frame(const T *a, const T *b, T *m) {
     T x[3] = {a[0], a[1], a[2]}, y[3], z[3];

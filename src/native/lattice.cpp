@@ -1,4 +1,4 @@
-// The lattice engine of tempo's chunks, for stages/lattice.py.
+// Lattice engine for chunks of tempo, for stages/lattice.py.
 
 #include "lattice.h"
 
@@ -12,14 +12,14 @@ namespace {
 using Table = Input<int32_t, 1>;
 
 #ifdef HAS_AVX2_TWIN
-// All that the engine calls is compiled into it once more, with AVX2.
+// Compiles the engine and everything it calls once more, with AVX2.
 template <class Coder>
 WITH_AVX2 FLATTENED bool run_with_avx2(lattice::Chunk<Coder> &chunk) {
     return chunk.run();
 }
 #endif
 
-// Whether a chunk was coded, or the stream was consistent.
+// Runs the engine. Returns whether it coded the chunk, or the stream was consistent.
 template <class Coder>
 bool run(lattice::Chunk<Coder> &chunk) {
 #ifdef HAS_AVX2_TWIN
@@ -31,7 +31,7 @@ bool run(lattice::Chunk<Coder> &chunk) {
 
 bits::Tables tables_of(const Table &squash, const Table &stretch, const Table &rate, const Table &cost) {
     if (squash.shape(0) != 4096 || stretch.shape(0) != 4096 || cost.shape(0) != 4096 || rate.shape(0) <= size_t(bits::SLOWEST))
-        throw std::invalid_argument("lattice: tables of other sizes");
+        throw std::invalid_argument("lattice: tables of wrong sizes");
     return {squash.data(), stretch.data(), rate.data(), cost.data()};
 }
 
@@ -48,7 +48,7 @@ lattice::Layout layout_of(const Input<uint8_t, 2> &missing, const Table &sequenc
         for (int q = 0; q < lattice::NEIGHBOURS; ++q) {
             const int32_t n = neighbours.data()[size_t(p) * lattice::NEIGHBOURS + size_t(q)];
             if (n >= 0 && (size_t(n) >= points || !coded[size_t(n)]))
-                throw std::invalid_argument("lattice: a neighbour that is not known yet");
+                throw std::invalid_argument("lattice: a neighbour is not coded before its point");
         }
         coded[size_t(p)] = true;
     }
@@ -62,7 +62,7 @@ Output<double> give(const std::vector<lattice::Vec> &values, const lattice::Layo
     return out.give({of.points, of.frames, 3});
 }
 
-// The stream, and the samples (points, frames, 3) that it decodes to; an empty stream and no samples if one is too large.
+// The stream and its decoded samples (points, frames, 3); an empty stream and no samples if a sample is too large.
 nb::object tempo_lattice_encode(Input<double, 3> wanted, Input<uint8_t, 2> missing, Table sequence,
                                 Input<int32_t, 2> neighbours, int stride_log, Table squash, Table stretch, Table rate,
                                 Table cost) {
@@ -85,7 +85,7 @@ nb::object tempo_lattice_encode(Input<double, 3> wanted, Input<uint8_t, 2> missi
     return nb::make_tuple(nb::bytes(reinterpret_cast<const char *>(stream.data()), stream.size()), give(decoded, of));
 }
 
-// The samples (points, frames, 3) of a stream, None for a stream that is not one.
+// The samples (points, frames, 3) of a stream; None for a damaged stream.
 nb::object tempo_lattice_decode(nb::bytes stream, Input<uint8_t, 2> missing, Table sequence, Input<int32_t, 2> neighbours,
                                 int stride_log, Table squash, Table stretch, Table rate, Table cost) {
     const lattice::Layout of = layout_of(missing, sequence, neighbours, stride_log);

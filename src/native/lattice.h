@@ -1,7 +1,7 @@
-// One chunk by the lattice engine of stages/lattice.py: each sample is predicted from decoded ones by
-// recursive least squares, and its residual is a point of a body-centred cubic lattice.
+// Codes a chunk with the lattice engine of stages/lattice.py: recursive least squares predict each sample from decoded
+// samples; the residual is a point of a body-centred cubic lattice.
 //
-// Floats are computed by the same operations in the same order as in the NumPy code.
+// Float operations have the same order as in the NumPy code.
 #pragma once
 
 #include <cmath>
@@ -20,10 +20,10 @@ namespace lattice {
 using std::ptrdiff_t;
 
 constexpr double DISTANCE_MEMORY = 0.995, RADIAL_MEMORY = 0.98;
-constexpr double DISTORTION = 384;         // cost of an error at the bound, 1/256 bit: what it does to predictions
-constexpr double NEAR = 8;                 // partners nearer than this have no direction
-constexpr double LIMIT = 1099511627776.0;  // 2^40: predictions and residuals beyond are not coded
-constexpr double WIDE = 12;                // residuals with a coordinate beyond are not optimised
+constexpr double DISTORTION = 384;         // cost of an error at the bound, 1/256 bit, for its effect on predictions
+constexpr double NEAR = 8;                 // partners nearer than this give no direction
+constexpr double LIMIT = 1099511627776.0;  // 2^40: larger predictions and residuals are not coded
+constexpr double WIDE = 12;                // residuals with a larger coordinate are not optimised
 constexpr int LARGEST_STRIDE_LOG = 6;
 constexpr int EDGE = 7;                    // level of samples without both neighbours in time
 
@@ -31,8 +31,8 @@ struct Layout {
     size_t frames, points;
     const uint8_t *missing;       // (frames, points), 1 in gaps
     const int32_t *sequence;      // (points,)
-    const int32_t *neighbours;    // (points, NEIGHBOURS), of points coded before, −1 for none; the first is the partner
-    int stride_log;               // the first frames are 2^stride_log apart
+    const int32_t *neighbours;    // (points, NEIGHBOURS), points coded earlier, −1: none; the first is the partner
+    int stride_log;               // frames of level 0 are 2^stride_log apart
 };
 
 template <class Coder>
@@ -51,7 +51,7 @@ public:
         }
     }
 
-    // Whether the stream was consistent.
+    // Codes the chunk. Returns whether the stream was consistent.
     bool run() {
         for (size_t i = 0; i < of.points; ++i)
             if (!point(size_t(of.sequence[i]), i == 0)) return false;
@@ -72,29 +72,29 @@ private:
     double mean_weights_[8][FEATURES];
     int64_t level_activity_[8];
 
-    // the point that is coded
+    // state of the current point
     size_t p_ = 0;
     const int32_t *near_ = nullptr;
     int known_ = 0;
-    double distance_ = 0, distances_ = 0;  // to the partner, and their number; both decay
+    double distance_ = 0, distances_ = 0;  // decaying sums: distances to the partner, and their number
     Vec *own_ = nullptr;
     const Vec *beside_[NEIGHBOURS] = {};
 
-    // the level
+    // state of the current level
     int level_ = 0;
     ptrdiff_t half_ = 0, step_ = 0;
     Predictor predictor_;
     int64_t slow_ = 0;
     double radial_square_ = 0, radial_product_ = 0;
-    Vec beyond_[NEIGHBOURS];     // what the neighbours are off at the frame below
+    Vec beyond_[NEIGHBOURS];     // each neighbour − the mean of its frames around, at `beyond_frame_`
     ptrdiff_t beyond_frame_ = 0;
 
-    // the sample
+    // state of the current sample
     Features features_;
     Vec base_;
     int class_ = 0;
     uint32_t radial_context_ = 0;
-    bits::Mixed parity_;  // of the bit that says whether coordinates are odd
+    bits::Mixed parity_;  // for the bit "coordinates are odd"
 
     bool point(size_t p, bool first) {
         p_ = p;
@@ -164,14 +164,15 @@ private:
         return true;
     }
 
-    // A guess that is out of range becomes the base, or 0.
+    // Replaces a prediction that is out of range by the base, or 0.
     Vec limited(Vec guess) const {
         for (int k = 0; k < 3; ++k)
             if (!(std::fabs(guess[k]) < LIMIT)) guess[k] = std::fabs(base_[k]) < LIMIT ? base_[k] : 0.0;
         return guess;
     }
 
-    // Axes along and across the direction from the partner, and the guess at the mean distance; false if they are near.
+    // Axes along and across the direction from the partner, and the prediction at the mean distance; false if the
+    // partner is too near.
     bool towards_partner(ptrdiff_t t, Vec (&axes)[3], Vec &guess, double &away) const {
         const Vec direction = guess - beside_[0][t];
         const double length = std::sqrt(square(direction));
@@ -184,7 +185,7 @@ private:
         return true;
     }
 
-    // Mean distance to the partner, and how much of a distance that was off to put right.
+    // Updates the mean distance to the partner, and the gain of corrections along the direction to it.
     void measure(const Vec &value, const Vec &partner, const Vec &linear, const Vec &axis, bool radial, double away) {
         distance_ = distance_ * DISTANCE_MEMORY + std::sqrt(square(value - partner));
         distances_ = distances_ * DISTANCE_MEMORY + 1;
@@ -197,7 +198,7 @@ private:
 
     bool missing(ptrdiff_t t) const { return of.missing[size_t(t) * of.points + p_] != 0; }
 
-    // Beside a gap or an end: moved as the partner has moved, from the frame before or after; between two, their mean.
+    // Prediction beside a gap or an end: the frame before or after plus the partner's motion since; between two, their mean.
     void follow(ptrdiff_t t) {
         const bool before = t >= half_, after = level_ && t + half_ < ptrdiff_t(of.frames);
         const bool from_before = before && !(after && missing(t - half_) && !missing(t + half_));
@@ -208,7 +209,7 @@ private:
         else base_ = own_[from] + (known_ ? beside_[0][t] - beside_[0][from] : Vec());
     }
 
-    // Level 0: from the two frames before, each `half` apart.
+    // Level 0: predicts from the two frames before, `half` apart.
     void extrapolate(ptrdiff_t t) {
         auto bend = [&](const Vec *of_point, ptrdiff_t s) {
             return of_point[s] - 2 * of_point[s - half_] + of_point[s - 2 * half_];
@@ -222,7 +223,7 @@ private:
         }
     }
 
-    // Other levels: from the frames around, each `half` apart.
+    // Higher levels: predicts from the frames around, `half` apart.
     void interpolate(ptrdiff_t t) {
         const ptrdiff_t half = half_, frames = ptrdiff_t(of.frames);
         const Vec left = own_[t - half], right = own_[t + half];
@@ -281,7 +282,8 @@ private:
         return uint32_t(1 + coarse_log(16 * (r1 + r2)));
     }
 
-    // kind of "is the magnitude beyond bucket b": odd coordinates, and those along the partner, have their own.
+    // Kind of the bit "magnitude is beyond bucket b". Odd coordinates, and coordinates
+    // along the partner, have their own kinds.
     uint32_t kind(int odd, bool along, int b) const {
         return uint32_t(1 + (2 * along + odd) * 32 + std::min(b, COMMON)) + (along ? radial_context_ * 256u * 257u : 0u);
     }
@@ -324,7 +326,7 @@ private:
         return true;
     }
 
-    // The bits within a bucket, highest first.
+    // Codes the bits within a bucket, highest first.
     int64_t within(int b, int width, int64_t rest) {
         int64_t found = 0;
         for (int place = width - 1; place >= 0; --place) {
@@ -335,7 +337,7 @@ private:
         return found;
     }
 
-    // A bit in contexts: the one wanted, or the one decoded.
+    // Codes the wanted bit, or decodes one.
     int bit(int wanted, uint32_t kind, uint32_t set) {
         bits::Mixed m;
         mixer.mix(m, kind, set);
@@ -362,7 +364,7 @@ private:
         }
         Candidate within[16];
         const int count = candidates(residual, within);
-        if (count < 2) {  // in three samples of five: there is nothing to choose
+        if (count < 2) {  // no choice, in three of five samples
             if (count) std::memcpy(z, within[0].z, sizeof within[0].z);
             else nearest(residual, z);
             return;

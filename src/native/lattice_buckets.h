@@ -6,7 +6,7 @@
 
 namespace lattice {
 
-constexpr int BUCKETS = 96, COMMON = 30;  // buckets of magnitudes; those with contexts of their own
+constexpr int BUCKETS = 96, COMMON = 30;  // buckets of magnitudes; buckets with separate contexts
 
 // ---- magnitudes: 0 … 4, then two buckets an octave
 struct Bucket {
@@ -39,13 +39,13 @@ inline int bucket_of(int64_t magnitude) {
     return b;
 }
 
-// What the coordinates of one kind and parity cost by bucket, 1/256 bit: `known` buckets, and of "beyond" them all.
+// Bit costs of coordinates of one kind and parity, 1/256 bit: `of` for `known` buckets; `sum` for "beyond" all of them.
 struct Costs {
     int32_t of[16], sum = 0;
     int known = 0;
 };
 
-// Twice the logarithm of a number of sixteenths, 0 … 23.
+// Logarithm of an activity (unit 1/16) in half octaves, 0 … 23.
 inline int coarse_log(int64_t v) {
     if (v <= 0) return 0;
     int octave = 63 - __builtin_clzll(uint64_t(v));

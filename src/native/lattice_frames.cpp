@@ -1,5 +1,5 @@
 // Points on a lattice: cells, places and distances, for codecs/bodycast/lattice_frames.py, lattice.py, octree.py and
-// integer_surface.py, which define the results. Floats by NumPy's operations in its order.
+// integer_surface.py, which define the results. Float operations have NumPy's order.
 
 #include <algorithm>
 #include <cmath>
@@ -18,13 +18,13 @@ void require(bool good) {
 
 double square(double x, double y, double z) { return x * x + y * y + z * z; }
 
-// The nearest integer, of two the even one. Adding 1.5 · 2^52 leaves no bits below 1.
+// Rounds to the nearest integer, halves to even: adding 1.5 · 2^52 leaves no bits below 1.
 double rounded(double value) {
     constexpr double ALIGNED = 6755399441055744.0;
     return std::abs(value) < 1e15 ? (value + ALIGNED) - ALIGNED : std::nearbyint(value);
 }
 
-// Numbers beyond 64 bits become the least, as NumPy does on most processors.
+// Numbers beyond 64 bits become the least integer, as in NumPy on most processors.
 int64_t whole(double value) {
     return std::abs(value) < 9.2e18 ? int64_t(value) : std::numeric_limits<int64_t>::min();
 }
@@ -35,7 +35,7 @@ double rounded_down(double value) {
     return cut - (cut > value);
 }
 
-// points (n, 3): the nearest lattice point to each.
+// The lattice point nearest to each of points (n, 3).
 Output<int64_t> nearest_lattice_points(Values points, double step) {
     const size_t n = points.shape(0);
     require(points.shape(1) == 3);
@@ -55,7 +55,7 @@ Output<int64_t> nearest_lattice_points(Values points, double step) {
     return cells.give({n, 3});
 }
 
-// originals (m, 3), decoded (n, 3), rows (m) of `decoded`: the distance of each original from its own decoded point.
+// Distance of each of originals (m, 3) from its own decoded point: decoded (n, 3) at rows (m).
 Output<double> own_distances(Values originals, Values decoded, Input<int64_t, 1> rows) {
     const size_t m = originals.shape(0), n = decoded.shape(0);
     require(originals.shape(1) == 3 && decoded.shape(1) == 3 && rows.shape(0) == m);
@@ -69,7 +69,7 @@ Output<double> own_distances(Values originals, Values decoded, Input<int64_t, 1>
     return distances.give({m});
 }
 
-// cells, shifts (n, 3), corner (3): places of the cells after shifts of 2^-bits units. step: of the shifts, metres.
+// Places of cells (n, 3), relative to corner (3), after shifts (n, 3) in 2^-bits units. step: of the shifts, metres.
 Output<double> shifted_positions(Numbers cells, Input<int64_t, 1> corner, Numbers shifts, int bits, double step) {
     const size_t n = cells.shape(0);
     require(cells.shape(1) == 3 && corner.shape(0) == 3 && shifts.shape(0) == n && shifts.shape(1) == 3 && bits >= 0 && bits < 32);
@@ -82,7 +82,7 @@ Output<double> shifted_positions(Numbers cells, Input<int64_t, 1> corner, Number
     return places.give({n, 3});
 }
 
-// cells (n, 3), corner (3): their places in units of 1 / scale, rounded down, at most `limit` from the origin.
+// Places of cells (n, 3), relative to corner (3), in units of 1 / scale, rounded down; at most `limit` from the origin.
 Output<int64_t> places_of_cells(Numbers cells, Input<int64_t, 1> corner, double scale, double limit) {
     const size_t n = cells.shape(0);
     require(cells.shape(1) == 3 && corner.shape(0) == 3);
@@ -95,7 +95,7 @@ Output<int64_t> places_of_cells(Numbers cells, Input<int64_t, 1> corner, double 
     return places.give({n, 3});
 }
 
-// cells (n, 3) of coordinates 0 to 2^20 − 1, as octree.morton_codes.
+// octree.morton_codes of cells (n, 3), with coordinates 0 … 2^20 − 1.
 Output<int64_t> morton_codes(Numbers cells) {
     const size_t n = cells.shape(0);
     require(cells.shape(1) == 3);
@@ -116,7 +116,7 @@ Output<int64_t> cells_of_codes(Input<int64_t, 1> codes) {
     return cells.give({n, 3});
 }
 
-// points (m, 3), neighbours (m, k): the median of the squared distances of points from the first of their neighbours.
+// Median of the squared distances of points (m, 3) from their first neighbours; neighbours (m, k).
 int64_t median_gap(Numbers points, Numbers neighbours) {
     const size_t m = points.shape(0);
     require(points.shape(1) == 3 && neighbours.shape(0) == m && neighbours.shape(1) > 0 && m > 0);

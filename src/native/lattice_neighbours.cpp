@@ -1,4 +1,4 @@
-// Which points are neighbours of each other, for stages/lattice.py, whose bits these are.
+// Chooses neighbours of points, with the bits of stages/lattice.py.
 
 #include <cmath>
 #include <limits>
@@ -14,10 +14,10 @@ using Near = Input<int64_t, 2>;
 void require_points(const Near &near, size_t points) {
     for (size_t i = 0; i < near.size(); ++i)
         if (near.data()[i] < 0 || size_t(near.data()[i]) >= points)
-            throw std::invalid_argument("lattice: a candidate that is no point");
+            throw std::invalid_argument("lattice: a candidate is not a point");
 }
 
-// lattice._pairs: sums over frames, for a point and all its candidates.
+// lattice._pairs: sums over frames for a point and all its candidates.
 struct Pairs {
     const double *some;
     size_t frames, points, count;
@@ -71,7 +71,7 @@ nb::tuple lattice_pairs(Input<double, 3> some, Near near, double least) {
     return nb::make_tuple(rigidity.give({points, count}), likeness.give({points, count}));
 }
 
-// lattice._tree, of at least one point.
+// lattice._tree, for at least one point.
 nb::tuple lattice_tree(Near near, Input<double, 2> rigidity, size_t first) {
     const size_t points = near.shape(0), count = near.shape(1);
     if (first >= points || rigidity.shape(0) != points || rigidity.shape(1) != count)

@@ -1,5 +1,5 @@
-// Geometry of the lattice engine: axes of a residual, and points of the body-centred cubic lattice near it (three even or
-// three odd coordinates, in half steps).
+// Geometry of the lattice engine: axes of a residual, and nearby points of the body-centred cubic lattice (three even
+// or three odd coordinates, in half steps).
 #pragma once
 
 #include <cmath>
@@ -11,7 +11,7 @@ namespace lattice {
 
 constexpr double RADIUS_2 = 1.25;  // squared covering radius of the lattice, half steps
 
-// Two more axes at right angles to the first.
+// Adds two axes at right angles to the first.
 inline void complete_axes(Vec (&axes)[3]) {
     const Vec u = axes[0];
     const double a = std::fabs(u[0]), b = std::fabs(u[1]), c = std::fabs(u[2]);
@@ -28,7 +28,7 @@ inline void complete_axes(Vec (&axes)[3]) {
 
 struct Candidate {
     int64_t z[3];
-    double square;  // of its distance from the residual
+    double square;  // squared distance from the residual
     int odd;
 };
 
@@ -43,7 +43,7 @@ inline void nearest(const double *residual, int64_t *z) {
     for (int k = 0; k < 3; ++k) z[k] = int64_t(even2 <= odd2 ? even[k] : odd[k]);
 }
 
-// The points within the covering radius, at most 16; their number, which rounding may make 0.
+// Finds the points within the covering radius, at most 16. Returns their number, which rounding may make 0.
 inline int candidates(const double *residual, Candidate *within) {
     int count = 0;
     for (int odd = 0; odd < 2; ++odd) {

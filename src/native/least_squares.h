@@ -1,4 +1,4 @@
-// Predictions of the lattice engine: recursive least squares over features of three axes.
+// Predictor of the lattice engine: recursive least squares over features of three axes.
 #pragma once
 
 #include <algorithm>
@@ -9,7 +9,7 @@ namespace lattice {
 constexpr double FORGETTING = 0.999, FIRST_COVARIANCE = 1.0 / 128;
 constexpr int NEIGHBOURS = 3, OWN = 4, PER_NEIGHBOUR = 2, FEATURES = OWN + NEIGHBOURS * PER_NEIGHBOUR;
 
-// ---- a point in space; the fourth number, 0, makes it two pairs, which processors add at once
+// ---- a point in space; the fourth number, 0, makes it two pairs for vector instructions
 struct alignas(16) Vec {
     double v[4] = {};
     double operator[](int k) const { return v[k]; }
@@ -38,7 +38,7 @@ inline double square(const Vec &a) { return a[0] * a[0] + a[1] * a[1] + a[2] * a
 
 using Features = Vec[FEATURES];
 
-// ---- two numbers that are computed with at once, each as it would be alone
+// ---- two numbers in one vector register, each computed as if alone
 #if defined(__GNUC__)
 using Pair = double __attribute__((vector_size(16)));
 inline Pair twice(double value) { return Pair{value, value}; }
@@ -76,8 +76,7 @@ struct Predictor {
         return sum;
     }
 
-    // off: what the sample is off its base. The axes in turn; the gain of the next is summed while the covariance is
-    // updated.
+    // off: sample − base. Learns the axes in turn, and sums the gain of the next axis while it updates the covariance.
     void learn(const Features &x, const Vec &off) {
         Pair gain[PAIRS];
         gains(x, 0, gain);
@@ -94,7 +93,7 @@ private:
         std::copy(sum, sum + PAIRS, gain);
     }
 
-    // gain: for the features of axis K; then for those of the next.
+    // gain: on entry for the features of axis K, on exit for those of the next axis.
     template <int K>
     void learn_axis(const Features &x, const Vec &off, Pair *gain) {
         constexpr double forgetting = K ? 1.0 : FORGETTING;

@@ -1,5 +1,5 @@
-// Random search for the pose of one limb: hypotheses near known poses and towards unexplained points, scored, resampled
-// near the best, and reduced to a few distinct ones; geometry/limb_search.py defines the result.
+// Random search for the pose of one limb: draws hypotheses near known poses and towards unexplained points, scores
+// them, resamples near the best, and keeps a few distinct ones. geometry/limb_search.py defines the result.
 #pragma once
 
 #include <algorithm>
@@ -12,14 +12,14 @@
 #include "kd_tree.h"
 #include "skinned_body.h"
 
-// The smallest rotation that turns unit vector `from` onto unit vector `onto`, as articulation.rotation_between.
+// The smallest rotation of unit vector `from` onto unit vector `onto`: articulation.rotation_between.
 inline void rotation_between(const double *from, const double *onto, double *out) {
     double axis[3], normal[3];
     cross(from, onto, axis);
     const double sine = std::sqrt(dot(axis, axis)), angle = std::atan2(sine, dot(from, onto));
     if (sine > 1e-9) {
         for (double &x : axis) x *= angle / sine;
-    } else {  // opposite directions: any axis across them
+    } else {  // opposite directions: any perpendicular axis
         const double x[3] = {1, 0, 0}, y[3] = {0, 1, 0};
         cross(from, std::abs(from[0]) < 0.9 ? x : y, normal);
         const double length = std::sqrt(dot(normal, normal));
@@ -28,15 +28,15 @@ inline void rotation_between(const double *from, const double *onto, double *out
     exponential(axis, out);
 }
 
-// out = v scaled to length 1, zero if it has none.
+// out = v scaled to length 1; zero for a zero vector.
 inline void direction(const double *v, double *out) {
     const double length = std::max(std::sqrt(dot(v, v)), 1e-9);
     for (int d = 0; d < 3; ++d) out[d] = v[d] / length;
 }
 
-// What a search is about: links (of the base, then of the limb, `first` is the limb's first), template rows that score,
-// unexplained points (m, 3), the limits of the links (a row of LIMIT_COLUMNS, or null), and in canonical coordinates the
-// axes of the limb's first two links and where the second ends.
+// Input of a search: links (of the base, then, from index `first`, of the limb), template rows for the score,
+// unexplained points (m, 3), limits of the links (a row of LIMIT_COLUMNS, or null), and in canonical coordinates the
+// axes of the limb's first two links and the end of the second.
 struct LimbTask {
     std::vector<int64_t> links, rows;
     size_t first;
@@ -59,14 +59,14 @@ class LimbSearch {
         bool operator<(const Hypothesis &other) const { return score < other.score; }
     };
 
-    // The rotations of the task's links in the body's current pose.
+    // Rotations of the task's links in the body's current pose.
     Doubles current() const {
         Doubles result;
         for (int64_t link : task.links) result.insert(result.end(), &body.rotations[9 * link], &body.rotations[9 * link] + 9);
         return result;
     }
 
-    // Bring the links of the task into a pose.
+    // Sets the pose of the task's links.
     void set(const Doubles &rotations) {
         for (size_t k = 0; k < task.links.size(); ++k) {
             std::copy_n(&rotations[9 * k], 9, &body.rotations[9 * task.links[k]]);
@@ -74,7 +74,7 @@ class LimbSearch {
         }
     }
 
-    // Rotations `from` with those of the limb's first two links turned by rotation vectors (2, 3) times two scales.
+    // Rotations `from`, with the limb's first two links rotated by rotation vectors (2, 3), each times its scale.
     Doubles turned(const double *from, const double *vectors, double first_scale, double second_scale) const {
         Doubles result(from, from + 9 * task.links.size());
         for (size_t k = 0; k < (two ? 2 : 1); ++k) {
@@ -86,8 +86,8 @@ class LimbSearch {
         return result;
     }
 
-    // Rotations for which a place on the second bone, a share of its length, is at a target; `side`: whither it bends.
-    // The body's current pose must be the base pose, and `from` its rotations.
+    // Inverse kinematics: rotations that bring a place on the second bone, at a share of its length, to a target. side:
+    // the direction of the bend. The body must be in the base pose, with rotations `from`.
     Doubles reaching(const Doubles &from, const double *target, double share, const double *side) const {
         const double *origin = &body.origins[3 * upper], *bend = &body.origins[3 * lower];
         double start[3], first[3], second[3], offset[3], to[3], across[3], along[3], place[3];
@@ -109,7 +109,7 @@ class LimbSearch {
         return aimed(from, start, along, place);
     }
 
-    // Rotations within the limits of the limb's links.
+    // Clamps rotations to the limits of the limb's links.
     void clamp(Doubles &rotations) const {
         for (size_t k = task.first; k < task.links.size(); ++k) {
             double allowed[9];
@@ -118,8 +118,8 @@ class LimbSearch {
         }
     }
 
-    // Score of rotations, as LimbSearch._scores of the Python module has it, by every `stride`th template row and
-    // unexplained point; ∞ if it is `bound` or more.
+    // Score of rotations (LimbSearch._scores in Python), from every `stride`th template row and unexplained point; ∞ if
+    // it is `bound` or more.
     double score(const Doubles &rotations, size_t stride, double bound) {
         set(rotations);
         const size_t rows = (task.rows.size() + stride - 1) / stride;
@@ -135,7 +135,7 @@ class LimbSearch {
         return sum < bound ? sum : std::numeric_limits<double>::infinity();
     }
 
-    // Where the limb bends and where its second bone ends (6,); of a limb of one link its end, twice.
+    // Positions of the limb's bend and of its second bone's end (6,); for a limb of one link, its end twice.
     std::vector<double> bend_and_end(const Doubles &rotations) {
         set(rotations);
         std::vector<double> result(6);
@@ -146,7 +146,7 @@ class LimbSearch {
     }
 
   private:
-    // Mean squared distance of the unexplained points from the first posed rows, truncated. In single precision, four
+    // Mean truncated squared distance of the unexplained points from the first posed rows. Single precision, four
     // points at a time.
     double unexplained_cost(size_t rows, size_t stride) {
         const size_t count = (task.unexplained_count + stride - 1) / stride;
@@ -168,7 +168,7 @@ class LimbSearch {
         return sum / double(count);
     }
 
-    // As limb_chains.aimed: the first bone points along `along` from `start`, the second from there to `place`.
+    // limb_chains.aimed: the first bone points along `along` from `start`, the second from its end to `place`.
     Doubles aimed(const Doubles &from, const double *start, const double *along, const double *place) const {
         double now[3], wanted[3], turn[9], above[9], elbow[3], below[9], rest[3];
         transform(&body.a[9 * upper], task.axes, now);
@@ -202,7 +202,7 @@ class LimbSearch {
             for (int j = 0; j < 3; ++j) out[3 * i + j] = p[i] * q[j] + p[3 + i] * q[3 + j] + p[6 + i] * q[6 + j];
     }
 
-    // out = a template point that follows its first link alone.
+    // out = a template point, posed by its first link only.
     void pose(int64_t row, double *out) const {
         const TemplatePoint &point = body.points[size_t(row)];
         body.place(size_t(point.first), point.at, out);
@@ -215,20 +215,20 @@ class LimbSearch {
     const bool two;
     const int64_t lower;
     Doubles posed;
-    std::vector<float> unexplained;  // coordinates of the points by axes, and their distances
+    std::vector<float> unexplained;  // coordinates of the points, axis by axis, and their distances
 };
 
-// How many hypotheses are drawn and kept, and the random numbers for them: `count` for each of three ways and of each
-// base (rotations (bases, links of the base, 3, 3)); turns (bases, 3, count, 2, 3), targets and sides (bases, count, 3),
-// shares (bases, count); near (rounds, kept · drawn, 2, 3), whose scales are spreads (rounds,). Scales of turns: of the
-// first and second link, for poses near the current one and near the previous one, in radians.
+// Numbers of hypotheses to draw and keep, and their random numbers. `count` for each of three methods and each base
+// (rotations (bases, links of the base, 3, 3)); turns (bases, 3, count, 2, 3); targets, sides (bases, count, 3); shares
+// (bases, count); near (rounds, kept · drawn, 2, 3) with scales spreads (rounds,). Scales of turns, radians: of the
+// first and second link, for hypotheses near the current and near the previous pose.
 struct LimbDraws {
     size_t bases, count, rounds, kept, drawn, considered, refined;
     const double *base_rotations, *previous, *turns, *targets, *sides, *shares, *near, *spreads, *scales;
     double promising, distinct;
 };
 
-// Best scores so far, and the score that a hypothesis must be below to be among the best `most`.
+// Best scores so far, and the bound below which a score is among the best `most`.
 class BestScores {
   public:
     explicit BestScores(size_t most, double bound) : most(most), bound(bound) {}
@@ -245,12 +245,12 @@ class BestScores {
     std::vector<double> scores;
 };
 
-constexpr size_t FIRST_STRIDE = 2;  // of the template rows and unexplained points that score the first round
+constexpr size_t FIRST_STRIDE = 2;  // stride of template rows and unexplained points in the first round's scores
 
 using LimbHypotheses = std::vector<LimbSearch::Hypothesis>;
 
-// The hypotheses of the first round, within their limits: near the current pose, near the previous one, and reaching for
-// unexplained points, or near the current pose if there are none. Leaves the body in the last base pose.
+// Hypotheses of the first round, within limits: near the current pose, near the previous pose, and reaching for
+// unexplained points (near the current pose if there are none). Leaves the body in the last base pose.
 inline std::vector<Doubles> drawn_hypotheses(LimbSearch &search, const LimbTask &task, const LimbDraws &draws) {
     const size_t rotations = 9 * task.links.size(), carried = 9 * task.first;
     const bool reaches = task.unexplained_count && task.links.size() > task.first + 1;
@@ -276,8 +276,8 @@ inline std::vector<Doubles> drawn_hypotheses(LimbSearch &search, const LimbTask 
     return result;
 }
 
-// Hypotheses by score, at most draws.refined, in which bend and end of the limb are `distinct` metres or more from those
-// of the current pose `pose` and of one another.
+// The best hypotheses, at most draws.refined, with bend and end of the limb at least `distinct` metres from those of
+// the current pose `pose` and of each other.
 inline LimbHypotheses distinct_hypotheses(LimbSearch &search, const Doubles &pose, const LimbHypotheses &sorted,
                                           const LimbDraws &draws) {
     std::vector<std::vector<double>> places{search.bend_and_end(pose)};
@@ -293,7 +293,7 @@ inline LimbHypotheses distinct_hypotheses(LimbSearch &search, const Doubles &pos
     return chosen;
 }
 
-// The best distinct hypotheses, whose scores are below `promising` times the current pose's; best first.
+// The distinct hypotheses with scores below `promising` times the current pose's score; best first.
 inline LimbHypotheses search_limb_poses(LimbSearch &search, const LimbTask &task, const LimbDraws &draws) {
     const Doubles pose = search.current();
     const double own = search.score(pose, 1, std::numeric_limits<double>::infinity());

@@ -1,4 +1,4 @@
-// Points beside the cylinders of links, for geometry/articulated_icp.py: the closest link, the side of a normal, moments.
+// Points around the cylinders of links, for geometry/articulated_icp.py: closest links, outward normals, moments.
 
 #include <algorithm>
 #include <cmath>
@@ -22,8 +22,8 @@ struct Cylinders {
             throw std::invalid_argument("cylinders of links: shapes differ");
     }
 
-    // Where a point is beside a link. offset: from its joint; radial: distance from the line through the axis; foot: the
-    // place along the axis that is closest; beyond: how far the point is beyond the ends.
+    // Place of a point relative to a link. offset: from its joint; radial: distance from the axis line; foot: closest
+    // place along the axis; beyond: distance beyond the ends.
     struct Place {
         double offset[3], radial, foot, beyond;
     };
@@ -38,7 +38,7 @@ struct Cylinders {
         return at;
     }
 
-    // Positive where a direction at this place points away from the axis.
+    // Positive if a direction at this place points away from the axis.
     double facing(size_t link, const Place &at, const double *direction) const {
         return dot(at.offset, direction) - at.foot * dot(axes + 3 * link, direction);
     }
@@ -47,15 +47,15 @@ struct Cylinders {
     const double *joints, *axes, *lengths, *radii;
 };
 
-constexpr double FARTHEST = -745;  // logarithm of the closeness that is zero in float64
+constexpr double FARTHEST = -745;  // logarithm of the closeness that underflows to zero
 
-// Grows with articulated_icp.closeness: its logarithm outside of the cylinder, the closeness itself inside.
+// Increases with articulated_icp.closeness: its logarithm outside the cylinder, the closeness itself inside.
 double closeness_order(double radial, double beyond, double radius) {
     const double over = std::max(radial - radius, 0.0), distance = std::sqrt(over * over + beyond * beyond);
     return distance <= 0 ? 1 + std::max(1 - radial / radius, 0.0) : std::max(-distance / radius, FARTHEST);
 }
 
-// articulated_icp.segment: the link of greatest closeness to each point. points (n, 3); normals (n, 3), or (0, 3).
+// articulated_icp.segment: the link with the greatest closeness to each point. points (n, 3); normals (n, 3), or (0, 3).
 Output<int64_t> closest_links(Input<double, 2> points, Input<double, 2> normals, Input<double, 2> joints,
                               Input<double, 2> axes, Input<double, 1> lengths, Input<double, 1> radii) {
     const size_t n = points.shape(0);
@@ -65,7 +65,7 @@ Output<int64_t> closest_links(Input<double, 2> points, Input<double, 2> normals,
         throw std::invalid_argument("closest_links: shapes differ");
     Fresh<int64_t> out(n);
     for (size_t i = 0; i < n; ++i) {
-        double best = -std::numeric_limits<double>::infinity(), best_facing = FARTHEST;  // regardless of the normal, and not
+        double best = -std::numeric_limits<double>::infinity(), best_facing = FARTHEST;  // ignoring the normal, and with it
         int64_t nearest = 0, facing = -1;
         for (size_t link = 0; link < links.count; ++link) {
             const Cylinders::Place at = links.place(link, points.data() + 3 * i);
@@ -100,7 +100,7 @@ Output<double> turned_outward(Input<double, 2> points, Input<double, 2> normals,
     return out.give({n, 3});
 }
 
-// articulated_icp.third_moments, of points (n, 3) on links (n) of `count`: (count, 3, 3, 3).
+// articulated_icp.third_moments (count, 3, 3, 3) of points (n, 3). links (n): link of each point, below `count`.
 Output<double> third_moments(Input<double, 2> points, Input<int64_t, 1> links, size_t count) {
     const size_t n = points.shape(0);
     if (points.shape(1) != 3 || links.shape(0) != n) throw std::invalid_argument("third_moments: shapes differ");

@@ -1,6 +1,6 @@
-// Registration of a skinned body to a frame's points: correspondences, Gauss–Newton iterations and scores, for
-// geometry/body_matching.py. The NumPy code there defines the result; it sums in another order, so the two agree to
-// rounding, not to the last bit.
+// Registration of a skinned body to a frame's points: correspondences, Gauss–Newton iterations and
+// scores, for geometry/body_matching.py. The NumPy code there defines the result; it sums in
+// another order, so the two agree up to rounding.
 
 #include <array>
 #include <cmath>
@@ -21,7 +21,7 @@ namespace {
 
 constexpr double INFINITE = std::numeric_limits<double>::infinity();
 
-// As the constants of the same names in geometry/body_matching.py.
+// Constants of geometry/body_matching.py.
 constexpr size_t REFRESH_STEPS = 3;
 constexpr double MAX_COLOUR_M = 0.04;
 
@@ -36,10 +36,10 @@ class BodyMatcher {
           equations(body) {}
     BodyMatcher(const BodyMatcher &) = delete;  // `equations` refers to `body`
 
-    // Gauss–Newton from a pose; returns the rotations and root that it ends with. steps (n, 3): the width of the robust
-    // weight, how many data points and how many template rows of `sample` are used. allowed (links,): those that data
-    // may be matched to. After a step that moves nothing by more than `converged`, later steps are skipped while they
-    // are wider than `skip_ratio` times that step's width and wider than `never_skipped`, metres.
+    // Gauss–Newton from a pose; returns the final rotations and root. steps (n, 3): width of the robust weight, number
+    // of data points, and number of template rows of `sample`. allowed (links,): links that may match data. After a
+    // step that moves nothing by more than `converged`, skips later steps that are wider than `skip_ratio` times that
+    // step's width and wider than `never_skipped`, metres.
     nb::tuple solve(const KdTree &data, Input<double, 3> rotations, Input<double, 1> root, Input<double, 2> steps,
                     Input<int64_t, 1> sample, Input<bool, 1> allowed, Input<double, 3> rest, Input<double, 2> strengths,
                     Input<int64_t, 1> limited, Input<double, 2> limits, double limit_strength, double root_strength,
@@ -59,8 +59,8 @@ class BodyMatcher {
         std::vector<int64_t> nearest(sample.shape(0), -1);
         const std::vector<SearchingRow> searching = own_sample(sample);
         Doubles limited_axes(3 * limited.shape(0));
-        size_t since_refresh = 0;           // steps since all candidates were found anew
-        double converged_at = INFINITE;     // the width of the last step, if it moved little
+        size_t since_refresh = 0;           // steps since the last search of all candidates
+        double converged_at = INFINITE;     // width of the last step, if it converged
         for (size_t step = 0; step < steps.shape(0); ++step) {
             const double width = steps.data()[3 * step];
             if (width > std::max(never_skipped, skip_ratio * converged_at)) continue;
@@ -87,10 +87,10 @@ class BodyMatcher {
         return nb::make_tuple(out.give({body.count, 3, 3}), out_root.give({3}));
     }
 
-    // How well a pose fits: for each data point its distance from the template, the corresponding template row and
-    // link (−1 for none); for each row of `sample` the distance in place of the data point that is nearest in place and
-    // colour (`limit` if none is nearer); and the cost, the mean squares of both distances with colours, each truncated
-    // at `truncation`. is_solved: pose and data are those of the last call of `solve`, whose candidates are used again.
+    // Assesses the fit of a pose. Returns for each data point its distance from the template, and the matched template
+    // row and link (−1: none); for each row of `sample`, the distance in place of the data point nearest in place and
+    // colour (`limit` if none is nearer); and the cost: mean squares of both distances with colours, each truncated at
+    // `truncation`. is_solved: pose and data are those of the last `solve`, so its candidates are valid.
     nb::tuple assess(const KdTree &data, Input<double, 3> rotations, Input<double, 1> root, Input<int64_t, 1> sample,
                      Input<bool, 1> allowed, bool is_solved, double limit, double truncation) {
         require(rotations, root, allowed, sample);
@@ -128,7 +128,7 @@ class BodyMatcher {
     }
 
     // Rotations (n, links, 3, 3) of the best distinct hypotheses for a limb, best first; see limb_search.h. links: of the
-    // base, then from number `first` on of the limb, parents first. sample: template rows that score. counts: kept,
+    // base, then, from index `first` on, of the limb, parents first. sample: template rows for the score. counts: kept,
     // drawn, considered, refined; factors: promising, distinct (metres), truncation (metres).
     Output<double> search_limb(const KdTree &data, Input<double, 2> unexplained, Input<double, 3> rotations,
                                Input<double, 1> root, Input<int64_t, 1> links, size_t first, Input<int64_t, 1> sample,
@@ -174,8 +174,8 @@ class BodyMatcher {
     }
 
   private:
-    static constexpr size_t TOGETHER = 16;   // data points that are looked up together
-    static constexpr double MAX_TURN = 0.7;  // radians that a joint turns in one step, at most
+    static constexpr size_t TOGETHER = 16;   // data points looked up together
+    static constexpr double MAX_TURN = 0.7;  // most radians that a joint turns in one step
 
     template <class Links>
     void require(const Input<double, 3> &rotations, const Input<double, 1> &root, const Links &allowed,
@@ -194,20 +194,19 @@ class BodyMatcher {
             throw std::invalid_argument("BodyMatcher: the data have colours and the template has none");
     }
 
-    // Correspondences of the first data points.
+    // Adds correspondences from the first data points to the template.
     void add_data_to_template(const KdTree &data, size_t points, double width, double noise) {
         match_all(data, points, [&](size_t i, int64_t row, int64_t) {
             if (row >= 0) equations.add_correspondence(row, data.point(i), width, noise);
         });
     }
 
-    // Calls use(point, row, link) for each of the first data points, in spatial order so that memory accesses are near each
-    // other: with the template row that is nearest in place and colour among its candidate links, and the row's link; −1 if
-    // it has none.
+    // Calls use(point, row, link) for each of the first data points, in spatial order for cache locality. row: template
+    // row nearest in place and colour, among the candidate links; link: of the row; −1: none.
     template <class Use>
     void match_all(const KdTree &data, size_t points, const Use &use) const {
         std::array<size_t, TOGETHER> batch;
-        std::array<SkinnedBody::LookUp, TOGETHER> first;  // in the nearest link
+        std::array<SkinnedBody::LookUp, TOGETHER> first;  // look-ups in the nearest links
         size_t count = 0;
         const auto flush = [&] {
             for (size_t p = 0; p < count; ++p)
@@ -228,7 +227,7 @@ class BodyMatcher {
         flush();
     }
 
-    // A template row that searches for data, and its number in the sample.
+    // A template row that searches for data, and its index in the sample.
     struct SearchingRow {
         int64_t row;
         size_t number;
@@ -243,7 +242,7 @@ class BodyMatcher {
         return result;
     }
 
-    // Correspondences of the first rows of a sample. nearest: the data point of each in the step before, updated.
+    // Adds correspondences from the first rows of a sample to the data. nearest: matched data point of each row, updated.
     void add_template_to_data(const KdTree &data, const std::vector<SearchingRow> &sample, size_t rows,
                               std::vector<int64_t> &nearest, double reach, double width, double noise) {
         for (const auto &[row, k] : sample) {
@@ -255,8 +254,8 @@ class BodyMatcher {
         }
     }
 
-    // The template row nearest to data point i in place and colour among its candidate links, of which the first has been
-    // looked up; and its link.
+    // The template row nearest to data point i in place and colour, among its candidate links, and the row's link.
+    // nearest: finished look-up in the first link.
     int64_t match(const KdTree &data, size_t i, const int64_t *links, SkinnedBody::LookUp &nearest, int64_t &link) const {
         const double *x = data.point(i);
         int64_t row = -1;
@@ -278,8 +277,8 @@ class BodyMatcher {
         return row;
     }
 
-    // Applies a step to the pose; returns how far it moves the root, or the far end of a link by its own rotation, at
-    // most, metres.
+    // Applies a step to the pose. Returns the largest motion of the root, or of a
+    // link's far end by its own rotation, metres.
     double move(const double *step) {
         double most = std::sqrt(dot(step, step));
         for (size_t link = 0; link < body.count; ++link) {
@@ -309,7 +308,7 @@ class BodyMatcher {
     LinkCandidates candidates;
 };
 
-// current · exp(share · log(previousᵀ current)) of rotations (n, 3, 3): where they are after a share of the same turn.
+// Extrapolates rotations (n, 3, 3): current · exp(share · log(previousᵀ current)).
 Output<double> extrapolated_rotations(Input<double, 3> previous, Input<double, 3> current, double share) {
     const size_t n = current.shape(0);
     if (previous.shape(0) != n || previous.shape(1) != 3 || previous.shape(2) != 3 || current.shape(1) != 3 ||

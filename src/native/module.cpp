@@ -1,29 +1,29 @@
 // mocodec._native: loops that NumPy cannot vectorise. One file for each user in the package:
 //
-//   entropy.cpp     packed bits and the coder of one state, for entropy/
+//   entropy.cpp     packed bits and the coder with one state, for entropy/
 //   state_stream.cpp      short arrays of integers in one call, for entropy/coder.py
-//   bulk.cpp        long arrays of integers, for entropy/bulk.py; bulk_layout.h is for contexts and places
+//   bulk.cpp        long arrays of integers, for entropy/bulk.py; bulk_layout.h has contexts and places
 //   coefficients.cpp      contexts, quantisation and rANS lanes, for codecs/tempo/coding
 //   bone_directions.cpp   directions of bones, for codecs/tempo/pose/bone_directions.py
-//   bone_coordinates.cpp  the inverse of bone_directions.cpp, for the same module; rotations4.h is for both directions
-//   bit_arrays.cpp  arrays of bits through the adaptive coder of adaptive_bits.h, for entropy/bit_arrays.py
-//   point_octree.cpp      octree of lattice points, for codecs/bodycast/point_octree.py; octree_surface.h is the bodies' surface
-//   cube_octree.cpp       the same cube by cube, for codecs/bodycast/cube_octree.py; octree_coding.h is what both share
-//   point_smoothing.cpp    moves of lattice points to the surface, for codecs/bodycast/point_smoothing.py
+//   bone_coordinates.cpp  inverse of bone_directions.cpp, for the same module; rotations4.h serves both
+//   bit_arrays.cpp  arrays of bits with the adaptive coder of adaptive_bits.h, for entropy/bit_arrays.py
+//   point_octree.cpp      octree of lattice points, for codecs/bodycast/point_octree.py; octree_surface.h has the surface
+//   cube_octree.cpp       octree cube by cube, for codecs/bodycast/cube_octree.py; octree_coding.h serves both octrees
+//   point_smoothing.cpp   moves lattice points to the surface, for codecs/bodycast/point_smoothing.py
 //   lattice_frames.cpp    points on a lattice, for codecs/bodycast/lattice_frames.py, lattice.py and octree.py
-//   point_choice.cpp      which lattice points stand for points, for codecs/bodycast/point_choice.py
+//   point_choice.cpp      choice of lattice points, for codecs/bodycast/point_choice.py
 //   point_colours.cpp     colours of lattice points, for codecs/bodycast/surface_memory.py and colour_lifting.py
-//   surface_memory.cpp    the bodies' surface from frame to frame, for codecs/bodycast/integer_surface.py and surface_memory.py
-//   reference_surface.cpp the surface that points lie on, for codecs/bodycast/reference_surface.py; nearest_others.h
+//   surface_memory.cpp    the bodies' surface over frames, for codecs/bodycast/integer_surface.py and surface_memory.py
+//   reference_surface.cpp surface of points, for codecs/bodycast/reference_surface.py; nearest_others.h finds neighbours
 //   clustered_icp.cpp     iterative closest points, for geometry/icp.py and articulated_icp.py (clustered_points.h is the tree), and normals,
 //                   for geometry/normals.py (neighbour_cells.h)
-//   link_surfaces.cpp     points beside the cylinders of links, for geometry/articulated_icp.py; capsules.h: distances from
+//   link_surfaces.cpp     points around the cylinders of links, for geometry/articulated_icp.py; capsules.h: distances from
 //                   capsules, for geometry/capsules.py
 //   lattice.cpp     the lattice engine, for stages/lattice.py; its parts are lattice.h, lattice_points.h and adaptive_bits.h
-//   lattice_neighbours.cpp  which points are neighbours, for stages/lattice.py
+//   lattice_neighbours.cpp  choice of neighbours, for stages/lattice.py
 //   joint_rotations.cpp   rotations of joints from positions, for codecs/tempo/rotation_layer and geometry/kinematics.py
 //   signals.cpp     residuals and linear prediction, for signals/ (signal_lanes.h, signal_prediction.h); signal_fitting.cpp
-//                   chooses the predictors (signal_least_squares.h); signal_forms.cpp makes integers of values;
+//                   chooses the predictors (signal_least_squares.h); signal_forms.cpp turns values into integers;
 //                   signal_chunks.cpp decodes whole chunks (signal_records.h: bytes, signal_values.h: integers to values)
 //   householder.cpp orthonormal bases stored as reflections, for stages/basis.py
 //   ordered.cpp     linear algebra in a fixed order of operations, for codecs/tempo/models/ordered.py
@@ -38,16 +38,16 @@
 //   varints.cpp     many varints at once, for fields/cursor.py
 //   chunk_codec.cpp whole chunks, for codecs/tempo/compiled_chunks.py; its parts are chunk_symbols.h (bytes to integers),
 //                   chunk_synthesis.h (integers to positions), chunk_errors.h, chunk_analysis.h (positions to coefficients),
-//                   chunk_quantiser.h (to integers) and chunk_packer.h (to bytes); contexts.h is for coefficients.cpp too,
-//                   bone_coordinates.h for bone_coordinates.cpp
+//                   chunk_quantiser.h (to integers) and chunk_packer.h (to bytes); coefficients.cpp shares contexts.h,
+//                   bone_coordinates.cpp bone_coordinates.h
 //   matching.cpp    registration of a body to points, for geometry/body_matching.py and limb_search.py; its parts are kd_tree.h (nearest
 //                   points), skinned_body.h (template and pose), nearest_links.h (candidate links), normal_equations.h (Gauss–Newton step), joint_limits.cpp
 //                   (nearest allowed rotation), limb_search.h (random poses of a limb) and algebra3.h (vectors of 3, 3 × 3
 //                   matrices)
 //
-// A file with kernels defines `void bind_NAME(nb::module_ &)`, and NAME stands in PARTS below. Python asks for a kernel by
-// name (`mocodec.native.kernel`) and runs its NumPy code if there is none. Where bytes depend on a kernel, it returns the
-// same bits as NumPy: integers, or floats by the same operations in the same order.
+// A file with kernels defines `void bind_NAME(nb::module_ &)`; list NAME in PARTS below. Python looks a kernel up by
+// name (`mocodec.native.kernel`) and runs its NumPy code if there is none. If bytes depend on a kernel, it returns the
+// same bits as NumPy: integers, or floats from the same operations in the same order.
 
 #include <nanobind/nanobind.h>
 

@@ -1,4 +1,4 @@
-// The links of a body whose templates are nearest to data points: candidates for their correspondences.
+// Finds the links of a body with the nearest templates to data points: candidates for correspondences.
 #pragma once
 
 #include <algorithm>
@@ -13,17 +13,17 @@
 #include "kd_tree.h"
 #include "skinned_body.h"
 
-// As the constants of the same names in geometry/body_matching.py.
+// Constants of geometry/body_matching.py.
 constexpr size_t CANDIDATES = 3;
 constexpr double CANDIDATE_MARGIN_M = 0.08;
 
-// The links whose templates are nearest to one data point, nearest first. Each is one number, its squared distance in
-// single precision above its number, so that they are kept in order without branches.
+// The links with the nearest templates to one data point, nearest first. Each is one integer: squared distance in
+// single precision in the upper half, link number in the lower, so that sorting needs no branches.
 class NearestLinks {
   public:
     NearestLinks() { best.fill(NONE); }
 
-    // square: of the link's distance.
+    // square: squared distance of the link.
     void add(int64_t link, double square) {
         const float key = float(square);
         uint32_t bits;
@@ -36,10 +36,10 @@ class NearestLinks {
         }
     }
 
-    // A link is no candidate if it is farther than this from the point, metres.
+    // Largest distance of a candidate link, metres.
     double reach() const { return std::min(distance(CANDIDATES - 1), distance(0) + CANDIDATE_MARGIN_M); }
 
-    // links (CANDIDATES,): those within reach, −1 for none.
+    // Writes links (CANDIDATES,) within reach, −1: none.
     void store(int64_t *links) const {
         const double most = distance(0) + CANDIDATE_MARGIN_M;
         for (size_t k = 0; k < CANDIDATES; ++k)
@@ -59,7 +59,7 @@ class NearestLinks {
     std::array<uint64_t, CANDIDATES> best;
 };
 
-// Capsules of the links that may be matched, and lower bounds of the distances of their template points from a place.
+// Capsules of the allowed links, and lower bounds of the distances from a place to their template points.
 class LinkBounds {
   public:
     struct Bound {
@@ -67,7 +67,7 @@ class LinkBounds {
         float distance;  // metres; negative inside the capsule
     };
 
-    // allowed (links,): those that data may be matched to.
+    // allowed (links,): whether a link may match data.
     LinkBounds(const SkinnedBody &body, const bool *allowed) {
         for (size_t link = 0; link < body.count; ++link)
             if (body.has_points[link] && allowed[link]) links.push_back(int64_t(link));
@@ -87,7 +87,7 @@ class LinkBounds {
         }
     }
 
-    // `bounds` of the distance from a place. Without branches, so that compilers take four links at a time.
+    // Computes the bounds for a place. No branches, so that compilers vectorise over four links.
     void measure_from(const double *place) {
         const size_t n = links.size();
         const float px = float(place[0]), py = float(place[1]), pz = float(place[2]);
@@ -97,14 +97,14 @@ class LinkBounds {
         for (size_t u = 0; u < n; ++u) {
             const float x = px - ox[u], y = py - oy[u], z = pz - oz[u];
             const float along = (x * dx[u] + y * dy[u] + z * dz[u]) * inverse[u];
-            const float share = 0.5f * (std::abs(along) - std::abs(along - 1) + 1);  // along, clamped to 0 to 1
+            const float share = 0.5f * (std::abs(along) - std::abs(along - 1) + 1);  // along, clamped to 0 … 1
             const float x1 = x - share * dx[u], y1 = y - share * dy[u], z1 = z - share * dz[u];
             out[u] = std::sqrt(x1 * x1 + y1 * y1 + z1 * z1) - radius[u];
         }
         known = -std::numeric_limits<float>::infinity();
     }
 
-    // The links whose bounds may be below `limit`.
+    // Links with bounds that may be below `limit`.
     const std::vector<Bound> &below(double limit) {
         if (!(limit < known)) {
             known = limit + LIST_MARGIN_M;
@@ -116,13 +116,13 @@ class LinkBounds {
     }
 
   private:
-    static constexpr float SLACK_M = 1e-4f;         // more than the error of single precision, within some metres
-    static constexpr double LIST_MARGIN_M = 0.05;  // beyond the limit that a list is made for, so that it serves more points
+    static constexpr float SLACK_M = 1e-4f;         // above the error of single precision, within some metres
+    static constexpr double LIST_MARGIN_M = 0.05;  // added to the limit of a list, so that it serves more points
 
     std::vector<int64_t> links;
-    std::vector<float> capsules;   // by axes: ends, segments, one over their squared lengths, radii
+    std::vector<float> capsules;   // axis by axis: ends, segments, 1 / squared length, radii
     std::vector<float> distances;  // from the last place
-    std::vector<Bound> near;       // links that are nearer than `known`
+    std::vector<Bound> near;       // links nearer than `known`
     double known;
 };
 
@@ -133,9 +133,9 @@ class LinkCandidates {
     size_t count() const { return links.size() / CANDIDATES; }
     void clear() { links.clear(); }
 
-    // Candidates of data points [from, to), nearest first; none is farther than the nearest by more than
-    // CANDIDATE_MARGIN_M. A point's former candidates, or its neighbour's, are considered first: they limit the distance.
-    // All other links are compared with that by their bounds from a place near the point, which neighbours share.
+    // Finds candidates of data points [from, to), nearest first, each at most CANDIDATE_MARGIN_M farther than the
+    // nearest. Measures a point's former candidates, or its neighbour's, first: they limit the distance. Skips other
+    // links if their bounds, from a place near the point that neighbours share, exceed the limit.
     void find(const SkinnedBody &body, const KdTree &data, size_t from, size_t to, const bool *allowed) {
         if (from >= to) return;
         const std::vector<int64_t> before(links.begin() + std::ptrdiff_t(from * CANDIDATES), links.end());
@@ -146,7 +146,7 @@ class LinkCandidates {
         points.reserve(to - from);
         for (size_t i : data.spatial_order())
             if (i >= from && i < to) points.push_back(i);
-        std::array<int64_t, CANDIDATES> last;  // those of the point before, a neighbour in space
+        std::array<int64_t, CANDIDATES> last;  // candidates of the previous point, a neighbour in space
         last.fill(-1);
         const double *centre = nullptr;
         std::array<std::array<int64_t, CANDIDATES>, TOGETHER> likely;
@@ -188,8 +188,8 @@ class LinkCandidates {
     }
 
   private:
-    static constexpr size_t TOGETHER = 8;    // points whose likely links are looked up together
-    static constexpr double GROUP_M = 0.06;  // how far a point may be from the place whose bounds it shares
+    static constexpr size_t TOGETHER = 8;    // points looked up together
+    static constexpr double GROUP_M = 0.06;  // most distance of a point from the place of its shared bounds
 
-    std::vector<int64_t> links;  // CANDIDATES of each data point, −1 for none
+    std::vector<int64_t> links;  // CANDIDATES for each data point, −1: none
 };

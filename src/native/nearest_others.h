@@ -1,4 +1,4 @@
-// The points nearest to each point of a set: a k-d tree over integers, exact, equal distances by row.
+// Nearest neighbours of each point within a set: a k-d tree over integers, exact; equal distances are sorted by row.
 #pragma once
 
 #include <algorithm>
@@ -14,13 +14,13 @@ class NearestOthers {
 public:
     using Place = std::array<int64_t, 3>;
 
-    // points: coordinates below 2^30 in magnitude.
+    // points: magnitudes of coordinates below 2^30.
     explicit NearestOthers(const std::vector<Place> &points) {
         tree_.build(points.size(), 3, LEAF, [&](size_t row, int axis) { return points[row][size_t(axis)]; });
         for (size_t row : tree_.order) sorted_.push_back(points[row]);
     }
 
-    // rows (m, COUNT): the others nearest to each point, nearest first; there must be more than COUNT points.
+    // Writes rows (m, COUNT): the nearest other points of each point, nearest first. Needs more than COUNT points.
     template <size_t COUNT>
     void find(int64_t *rows) const {
         for (size_t i = 0; i < tree_.order.size(); ++i) {
@@ -33,9 +33,9 @@ public:
     }
 
 private:
-    static constexpr size_t LEAF = 8;  // points of a leaf, at most
+    static constexpr size_t LEAF = 8;  // most points of a leaf
 
-    // What a search has found so far: squared distances with rows, in order.
+    // Best squared distances of a search so far, with rows, sorted.
     template <size_t COUNT>
     struct Found {
         Place query;
@@ -72,12 +72,12 @@ private:
         const int64_t before = away[node.axis];
         const int64_t now = std::max<int64_t>({0, before, first_is_nearer ? node.high - x : x - node.low});
         const int64_t beyond = box - before * before + now * now;
-        if (beyond > found.best.back().first) return;  // as near ones may have lower rows
+        if (beyond > found.best.back().first) return;  // not ≥: points at equal distance may have lower rows
         away[node.axis] = now;
         visit(first_is_nearer ? node.second : at + 1, found, beyond, away);
         away[node.axis] = before;
     }
 
     KdNodes<int64_t> tree_;
-    std::vector<Place> sorted_;  // in the order of the leaves
+    std::vector<Place> sorted_;  // points in leaf order
 };

@@ -1,5 +1,5 @@
-// The points nearest to places on a surface, for normals: a grid of cells that hold a few points each. Faster than a tree
-// where points are spread evenly, as a depth camera's are.
+// Nearest points to places on a surface, for normals: a grid with a few points in each cell. Faster than a tree if
+// points are evenly spread, like those of a depth camera.
 #pragma once
 
 #include <algorithm>
@@ -31,22 +31,22 @@ public:
         if (!(widest < MOST_EXTENT)) return;
         edge_ = widest > 0 ? widest / FIRST_CELLS : 1;
         fill(points, count);
-        for (int round = 0; round < ROUNDS && widest > 0; ++round) {  // on a surface, points of a cell ∝ its edge squared
+        for (int round = 0; round < ROUNDS && widest > 0; ++round) {  // on a surface, points in a cell ∝ edge²
             edge_ *= std::sqrt(WANTED / crowding_);
             fill(points, count);
         }
     }
 
-    // Whether most points share their cell with so few others that searches are fast.
+    // Whether searches are fast: most points share their cell with few others.
     bool is_fast() const { return crowding_ < MOST; }
 
-    // The `wanted` points nearest to a place; there must be as many.
+    // Finds the `wanted` points nearest to a place. There must be at least `wanted` points.
     void find(const double *place, size_t wanted, Nearest &nearest) const {
         std::array<int64_t, 3> at;
         for (size_t d = 0; d < 3; ++d) at[d] = cell_of(place[d], d);
         for (int64_t reach = 1;; reach *= 2) {
             nearest.assign(wanted, {std::numeric_limits<double>::infinity(), {}});
-            double complete = std::numeric_limits<double>::infinity();  // all points nearer than this have been seen
+            double complete = std::numeric_limits<double>::infinity();  // all points nearer than this are found
             std::array<int64_t, 3> first, last;
             for (size_t d = 0; d < 3; ++d) {
                 first[d] = std::max<int64_t>(at[d] - reach, 0), last[d] = std::min(at[d] + reach, size_[d] - 1);
@@ -58,13 +58,13 @@ public:
                     const size_t row = size_t(x * size_[1] + y) * size_t(size_[2]);
                     look(place, starts_[row + size_t(first[2])], starts_[row + size_t(last[2]) + 1], nearest);
                 }
-            // the borders of cells are rounded
+            // borders of cells are rounded
             if (nearest.back().first <= squared(std::max(0.0, (1 - 1e-9) * complete - 1e-9 * edge_))) return;
         }
     }
 
 private:
-    static constexpr double FIRST_CELLS = 64, WANTED = 5, MOST = 40;  // along the longest side; points of a cell
+    static constexpr double FIRST_CELLS = 64, WANTED = 5, MOST = 40;  // cells along the longest side; points in a cell
     static constexpr double MAX_CELLS = 1 << 19, MOST_EXTENT = 1e100;
     static constexpr int ROUNDS = 2;
 
@@ -72,7 +72,7 @@ private:
         return int64_t(std::clamp((coordinate - low_[axis]) / edge_, 0.0, double(size_[axis] - 1)));
     }
 
-    // Sort the points into cells of `edge_`, or larger ones if there were too many.
+    // Sorts the points into cells of edge `edge_`; enlarges the cells if there were too many.
     void fill(const double *points, size_t count) {
         for (;; edge_ *= 1.5) {
             double cells = 1;
@@ -106,8 +106,8 @@ private:
     }
 
     std::array<double, 3> low_, extent_;
-    double edge_ = 1, crowding_ = std::numeric_limits<double>::infinity();  // of a cell; how many points share the cell of a point, in the mean
+    double edge_ = 1, crowding_ = std::numeric_limits<double>::infinity();  // edge of a cell; mean number of points in a point's cell
     std::array<int64_t, 3> size_;
-    std::vector<size_t> starts_;  // of the cells, z fastest
+    std::vector<size_t> starts_;  // first point of each cell, z fastest
     std::vector<std::array<double, 3>> points_;
 };

@@ -1,9 +1,9 @@
-// One Gauss–Newton step of a body's pose: residuals of correspondences and priors, summed into normal equations h x = g.
+// Gauss–Newton step for a body's pose: residuals of correspondences and priors, summed into normal equations h x = g.
 //
 // The unknowns x are a translation of the root and a rotation vector of every joint, all in the world's axes. A template
 // point y that follows link l moves by v_l + ω_l × y; its distance across the surface changes by f · (v, ω) with
-// f = (n, y × n). Sums of f fᵀ for each pair of links give the normal equations of the links' motions (v, ω), and the
-// joint hierarchy turns these into the joints'.
+// f = (n, y × n). Sums of f fᵀ for each pair of links give the normal equations of the links' motions (v, ω); the joint
+// hierarchy turns them into those of the joints.
 #pragma once
 
 #include <algorithm>
@@ -32,8 +32,8 @@ class NormalEquations {
         touched.clear();
     }
 
-    // A correspondence of a template row and the place that it should move to. width: of the robust weight
-    // (Geman–McClure), metres; noise: of the data, metres.
+    // Adds a correspondence of a template row with its target place. width: of the robust weight (Geman–McClure),
+    // metres; noise: of the data, metres.
     void add_correspondence(int64_t row, const double *place, double width, double noise) {
         Target &sum = targets[row];
         if (!sum.is_posed) body.pose_point(row, sum.at), sum.is_posed = true, touched.push_back(row);
@@ -43,7 +43,7 @@ class NormalEquations {
         for (int d = 0; d < 3; ++d) sum.gap[d] += weight * gap[d];
     }
 
-    // h and g of all correspondences. tangential: weight of distances along the surface against those across it.
+    // Computes h and g of all correspondences. tangential: weight of distances along the surface, relative to across it.
     void linearise(double tangential) {
         sums.assign(pairs.size(), PairSums{});
         for (int64_t row : touched)
@@ -53,8 +53,8 @@ class NormalEquations {
         project_to_joints();
     }
 
-    // Priors: towards the pose at the start (strengths[0] of each link, root_strength of the root's place) and towards
-    // the rest rotations (strengths[1]). Strengths are one over radians squared, or one over square metres.
+    // Adds priors: towards the start pose (strengths[0] for each link, root_strength for the root's place) and towards
+    // the rest rotations (strengths[1]). Units: 1 / rad² and 1 / m².
     void add_priors(const Doubles &start, const double *start_root, const double *rest, const double *strengths,
                     double root_strength) {
         for (int d = 0; d < 3; ++d) {
@@ -77,8 +77,8 @@ class NormalEquations {
         }
     }
 
-    // Towards the nearest allowed rotation, if a link is beyond its limits. limited_axis (3,): the axis of the rotation
-    // that led beyond, set here; later steps resist rotations about it, or they would leave the limits again.
+    // Adds a prior towards the nearest allowed rotation, if a link is beyond its limits. limited_axis (3,): axis of the
+    // rotation beyond them, set here; later steps resist rotations about it, or they would leave the limits again.
     void add_limit(size_t link, const double *limit, double strength, double *limited_axis) {
         double allowed[9], difference[9], off[3], world[3];
         const double *rotation = &body.rotations[9 * link];
@@ -95,8 +95,8 @@ class NormalEquations {
             for (int j = 0; j < 3; ++j) h[(3 + 3 * link + i) * unknowns + 3 + 3 * link + j] += strength * world[i] * world[j];
     }
 
-    // g becomes the solution x, by a Cholesky decomposition from the last unknown to the first: a joint then couples only
-    // to its ancestors and to the few links that share its skin. False if h is not positive definite.
+    // Replaces g by the solution x, with a Cholesky decomposition from the last unknown to the first: a joint then
+    // couples only to its ancestors and to the few links that share its skin. False if h is not positive definite.
     bool solve() {
         const size_t n = unknowns;
         std::vector<size_t> coupled;
@@ -132,27 +132,26 @@ class NormalEquations {
   private:
     static constexpr size_t SYMMETRIC = 21;  // numbers of the upper triangle of a 6 × 6 matrix, row by row
 
-    // Sums over the template points that follow one pair of links: the upper triangle of f fᵀ with the tangential part,
-    // weighted by first², first · second and second² of the skinning weights; and f times the residual, weighted by first
-    // and by second.
+    // Sums over the template points of one pair of links: the upper triangle of f fᵀ with the tangential part, weighted by
+    // first², first · second and second² of the skinning weights; and f times the residual, weighted by first and by second.
     struct PairSums {
         double square[3][SYMMETRIC];
         double right[2][6];
     };
 
-    // One block of a matrix added to another.
+    // Addition of one block of a matrix to another.
     struct Addition {
         size_t to, from;
     };
 
-    // The correspondences of one template row: where it is posed, the sum of their weights, and of weighted gaps.
+    // Correspondences of one template row: its posed place, the sum of their weights, and of weighted gaps.
     struct alignas(64) Target {
         double at[3] = {0, 0, 0}, weight = 0, gap[3] = {0, 0, 0};
         bool is_posed = false;
     };
 
-    // The blocks that are not zero for any correspondences, and the additions that turn those of links into sums over
-    // subtrees: a joint moves all links of its subtree alike.
+    // Plans the blocks that can be nonzero, and the additions that sum blocks of links over subtrees: a joint moves all
+    // links of its subtree alike.
     void plan_blocks() {
         const size_t count = body.count;
         number_of_block.assign(count * count, -1);
@@ -206,7 +205,7 @@ class NormalEquations {
         }
     }
 
-    // Adds to an upper triangle t times (I, −[y]×)ᵀ (I, −[y]×), of point-to-point distances, weakly.
+    // Adds t · (I, −[y]×)ᵀ (I, −[y]×), the term of point-to-point distances, to an upper triangle.
     static void add_tangential(const double *y, double t, double *outer) {
         const double x = t * y[0], u = t * y[1], z = t * y[2];
         outer[0] += t;
@@ -226,7 +225,7 @@ class NormalEquations {
         outer[19] -= u * y[2];
     }
 
-    // Sums by pairs of links into blocks of the links' normal equations, and vectors of 6.
+    // Expands sums of link pairs into blocks of the links' normal equations, and vectors of 6.
     void expand_pairs() {
         const size_t count = body.count;
         blocks.assign(block_count * SYMMETRIC, 0.0);
@@ -244,7 +243,7 @@ class NormalEquations {
         }
     }
 
-    // Blocks and vectors become sums over subtrees.
+    // Sums blocks and vectors over subtrees.
     void sum_subtrees() {
         for (const Addition &addition : additions) {
             const double *from = &blocks[addition.from * SYMMETRIC];
@@ -256,8 +255,8 @@ class NormalEquations {
                 vectors[6 * body.parents[link] + i] += vectors[6 * link + i];
     }
 
-    // h and g of the unknowns from the sums over subtrees. A subtree's motion (v, ω) by the rotation of its joint at p is
-    // [p]× above I, by the root's translation I above 0.
+    // Computes h and g of the unknowns from the sums over subtrees. The Jacobian of a subtree's motion (v, ω) is [p]×
+    // above I for the rotation of its joint at p, and I above 0 for the root's translation.
     void project_to_joints() {
         const size_t count = body.count;
         h.assign(unknowns * unknowns, 0.0);
@@ -277,14 +276,14 @@ class NormalEquations {
         }
     }
 
-    // h of the joints of links i ≤ j from their block (V C; Cᵀ W), and of the root's translation from those of link 0.
+    // h of the joints of links i ≤ j from their block (V C; Cᵀ W); for link 0 also h of the root's translation.
     void project_block(size_t i, size_t j, const double *block) {
         const double v[9] = {block[0], block[1], block[2], block[1], block[6], block[7], block[2], block[7], block[11]};
         const double c[9] = {block[3],  block[4],  block[5],  block[8], block[9],
                              block[10], block[12], block[13], block[14]};
         const double w[9] = {block[15], block[16], block[17], block[16], block[18],
                              block[19], block[17], block[19], block[20]};
-        double above[9], below[9], moment[3];  // V [p]× + C and Cᵀ [p]× + W, of the joint of link j at p
+        double above[9], below[9], moment[3];  // V [p]× + C and Cᵀ [p]× + W, for the joint of link j at p
         const double *p = &joints[3 * j], *q = &joints[3 * i];
         for (int r = 0; r < 3; ++r) {
             const double column[3] = {c[r], c[3 + r], c[6 + r]};
@@ -315,8 +314,8 @@ class NormalEquations {
     const size_t unknowns;
     std::vector<int64_t> pair_of_row, pairs;  // pairs of links that share template points: first · links + second
     std::vector<Target> targets;
-    std::vector<int64_t> touched;  // template rows that have correspondences
-    std::vector<int64_t> number_of_block;  // (links, links): −1 for those that stay zero
+    std::vector<int64_t> touched;  // template rows with correspondences
+    std::vector<int64_t> number_of_block;  // (links, links); −1: the block stays zero
     std::vector<Addition> additions;
     size_t block_count = 0;
     std::vector<PairSums> sums;

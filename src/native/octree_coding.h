@@ -1,5 +1,5 @@
-// What the two octrees of lattice points share: point_octree.cpp codes them octant by octant, cube_octree.cpp cube by cube.
-// Classes of contexts, counting of cubes and samples, and the functions that Python calls.
+// Shared code of the two octrees of lattice points (point_octree.cpp codes octant by octant, cube_octree.cpp cube by
+// cube): classes of contexts, counts of cubes and samples, and the functions for Python.
 #pragma once
 
 #include <array>
@@ -14,11 +14,11 @@ namespace point_octree {
 constexpr int POSTERIORS = 64, NO_HINT = POSTERIORS, FAR = 21;
 constexpr int BELL_STEPS = 64, BELL_PER_DEVIATION = 16;
 constexpr int DISTANCE_STEPS[] = {1, 2, 3, 4, 5, 7, 9, 12, 16, 24};
-constexpr int CLASSES = 25;  // quarters of a child's side, the last for all beyond
+constexpr int CLASSES = 25;  // classes by quarters of a child's side; the last is for larger distances
 constexpr int SAMPLE_STEPS[] = {1, 2, 3, 5};
-constexpr int LATTICE_STEP = 7;  // from the first to the second octant of the last level
+constexpr int LATTICE_STEP = 7;  // difference of the two octants of the last level
 
-// Bits of the numbers from 0 to 255.
+// Number of bits set in 0 … 255.
 struct BitCounts {
     uint8_t of[256] = {};
     constexpr BitCounts() {
@@ -30,10 +30,10 @@ inline constexpr BitCounts BIT_COUNTS;
 
 inline int bits_of(unsigned mask) { return BIT_COUNTS.of[mask & 255]; }
 
-// Tables of the numbers from 0 to 255.
+// Tables over masks 0 … 255.
 struct Masks {
-    uint8_t few[256] = {};       // bits, at most 3
-    uint8_t inner[8][256] = {};  // of an octant: those beside it in its cube that are known, as contexts have them
+    uint8_t few[256] = {};       // number of bits set, at most 3
+    uint8_t inner[8][256] = {};  // for each octant: context bits of the known octants beside it in its cube
 
     Masks() {
         for (unsigned mask = 0; mask < 256; ++mask) few[mask] = uint8_t(std::min(bits_of(mask), 3));
@@ -43,7 +43,7 @@ struct Masks {
                     if (octant >> axis & 1) inner[octant][mask] |= uint8_t((mask >> (octant ^ 1 << axis) & 1) * 2 << outer_bit(axis));
     }
 
-    // The place in the context of whether the cube or octant beyond the octant's face is occupied.
+    // Context bit for "the cube or octant beyond the octant's face is occupied".
     static int outer_bit(int axis) { return 2 * (2 - axis); }
 };
 
@@ -63,7 +63,7 @@ inline std::array<int, CLASSES> distance_classes() {
     return classes;
 }
 
-// Which children of the cubes of a level hold points. codes: of the points, sorted; below: levels beneath the children.
+// Occupied children of a level's cubes, as masks. codes: of the points, sorted; below: number of levels below the children.
 inline std::vector<uint8_t> occupancy(const uint64_t *codes, size_t points, const std::vector<uint64_t> &cubes, int below) {
     std::vector<uint8_t> masks(cubes.size(), 0);
     for (size_t i = 0, cube = 0; i < points; ++i) {
@@ -75,7 +75,7 @@ inline std::vector<uint8_t> occupancy(const uint64_t *codes, size_t points, cons
     return masks;
 }
 
-// Calls set(cube, octant, class) for the children of the cubes of a level: classes of how many samples they hold.
+// Calls set(cube, octant, class) for the children of a level's cubes, with the class of their number of samples.
 template <class Set>
 void classify_samples(const Surface &surface, const std::vector<uint64_t> &cubes, int level, Set set) {
     const std::vector<uint64_t> codes = surface.sample_codes(level + 1);
@@ -92,12 +92,12 @@ void classify_samples(const Surface &surface, const std::vector<uint64_t> &cubes
         }
 }
 
-// The functions of Python for a Tree, which has `code`, `failed_level`, `failed_cubes`, and `points` with codes and samples.
+// Python's functions of a Tree, which has `code`, `failed_level`, `failed_cubes`, and `points` with codes and samples.
 template <class Tree>
 struct OctreeFunctions {
     static Tree tree_of(int depth, const Surface *surface, const Input<int32_t, 1> &bell) {
         if (bell.shape(0) != BELL_STEPS + 1 || depth < 0 || depth > 20 || (surface && surface->depth() != depth))
-            throw std::invalid_argument("octree: a depth or a table of another size");
+            throw std::invalid_argument("octree: the depth or a table's size is wrong");
         return Tree(depth, surface, bell.data());
     }
 
@@ -108,18 +108,18 @@ struct OctreeFunctions {
         return rows.give({nearest.size()});
     }
 
-    // The sample near each of the sorted distinct codes.
+    // Codes sorted distinct codes; returns the sample near each.
     static Output<int64_t> encode(bit_arrays::BitArrayEncoder &coder, Input<uint64_t, 1> codes, int depth,
                                   const Surface *surface, Input<int32_t, 1> bell) {
         Tree tree = tree_of(depth, surface, bell);
         for (size_t i = 1; i < codes.shape(0); ++i)
             if (codes.data()[i] <= codes.data()[i - 1]) throw std::invalid_argument("octree: the codes are not sorted");
         if (!tree.code(coder, codes.data(), codes.shape(0)) || tree.points().size() != codes.shape(0))
-            throw std::invalid_argument("octree: the codes are not those of a lattice");
+            throw std::invalid_argument("octree: the codes are not lattice points");
         return samples_of(tree, surface);
     }
 
-    // (codes, samples, 0, 0), or (None, None, level, cubes of the level) of bytes that are no tree of this many points.
+    // (codes, samples, 0, 0), or (None, None, level, cubes of the level) if the bytes are not a tree of `points` points.
     static nb::tuple decode(bit_arrays::BitArrayDecoder &coder, size_t points, int depth, const Surface *surface,
                             Input<int32_t, 1> bell) {
         Tree tree = tree_of(depth, surface, bell);
@@ -131,7 +131,7 @@ struct OctreeFunctions {
         return nb::make_tuple(codes.give({found.size()}), samples_of(tree, surface), 0, size_t(0));
     }
 
-    // As NAME_encode and NAME_decode.
+    // Binds them as NAME_encode and NAME_decode.
     static void bind(nb::module_ &m, const std::string &name) {
         m.def((name + "_encode").c_str(), &encode, nb::arg(), nb::arg(), nb::arg(), nb::arg().none(), nb::arg());
         m.def((name + "_decode").c_str(), &decode, nb::arg(), nb::arg(), nb::arg(), nb::arg().none(), nb::arg());

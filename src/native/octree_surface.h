@@ -1,5 +1,5 @@
-// The posed surface of the bodies as the octree of a frame sees it, for codecs/bodycast/surface_hints.py, which defines
-// the results. Integers only; sums wrap as in NumPy.
+// The posed surface of the bodies, for the contexts of a frame's octree. codecs/bodycast/surface_hints.py defines the
+// results. Integers only; sums wrap around as in NumPy.
 //
 //     samples ─sorted once by the octree's cells─► nearest sample of a cube ─► distance of its children from the surface
 #pragma once
@@ -24,18 +24,18 @@
 namespace point_octree {
 
 constexpr int SUBUNIT_BITS = 4, NORMAL_BITS = 10, NEIGHBOURS = 12;
-constexpr int SEARCHED = 3;           // samples of a cell that are candidates for the nearest
-constexpr int COARSEST_SPACINGS = 4;  // side of the largest cubes that have a nearest sample, in spacings
-constexpr int PRIOR_COUNT = 2;        // cubes that a correction of zero counts for
+constexpr int SEARCHED = 3;           // candidates for the nearest sample in a cell
+constexpr int COARSEST_SPACINGS = 4;  // side of the largest cubes with a nearest sample, in spacings
+constexpr int PRIOR_COUNT = 2;        // weight of a correction of zero, in cubes
 constexpr int64_t HALF_UNIT = 1 << (SUBUNIT_BITS - 1);
 constexpr int32_t NOWHERE = -1;
-constexpr double LARGEST_SUM = 4e18;  // of distances: only of a damaged file
+constexpr double LARGEST_SUM = 4e18;  // sum of distances; only damaged files exceed it
 
 using Place = std::array<int64_t, 3>;
 
 inline int64_t wrapped_product(int64_t a, int64_t b) { return int64_t(uint64_t(a) * uint64_t(b)); }
 
-// Bits of a coordinate below 2^21 three places apart, as octree.morton_codes.
+// Spreads the bits of a coordinate below 2^21 three places apart: octree.morton_codes.
 inline uint64_t spread_bits(uint64_t v) {
     v = (v | v << 32) & 0x1F00000000FFFF;
     v = (v | v << 16) & 0x1F0000FF0000FF;
@@ -44,7 +44,7 @@ inline uint64_t spread_bits(uint64_t v) {
     return (v | v << 2) & 0x1249249249249249;
 }
 
-// The inverse: every third bit, from the lowest.
+// The inverse: gathers every third bit, from the lowest.
 inline int64_t gathered_bits(uint64_t v) {
     v &= 0x1249249249249249;
     v = (v | v >> 2) & 0x10C30C30C30C30C3;
@@ -58,10 +58,10 @@ inline uint64_t morton_code(int64_t x, int64_t y, int64_t z) {
     return spread_bits(uint64_t(x)) | spread_bits(uint64_t(y)) << 1 | spread_bits(uint64_t(z)) << 2;
 }
 
-// A cell's coordinates below 2^21 as one number.
+// A cell's coordinates, below 2^21, as one number.
 inline uint64_t cell_key(int64_t x, int64_t y, int64_t z) { return uint64_t(x) | uint64_t(y) << 21 | uint64_t(z) << 42; }
 
-// Rows by 64-bit key: open addressing with linear probing, behind a filter that knows most keys that are not there.
+// Hash table from 64-bit keys to rows: open addressing with linear probing; a filter rejects most missing keys.
 class KeyTable {
 public:
     static constexpr uint64_t HASH = 0x9E3779B97F4A7C15u;
@@ -82,10 +82,10 @@ public:
         rows_[at] = row;
     }
 
-    // The row of this key, −1 without one.
+    // The row of this key, −1: none.
     int32_t find(uint64_t key) const { return find(key, key * HASH); }
 
-    // The same with the product of the key and HASH.
+    // hash: product of the key and HASH.
     int32_t find(uint64_t key, uint64_t hash) const {
         if (!(filter_[hash >> 54] >> (hash >> 48 & 63) & 1)) return -1;
         for (size_t at = slot(hash); keys_[at] != EMPTY; at = (at + 1) & (keys_.size() - 1))
@@ -98,19 +98,19 @@ private:
 
     size_t slot(uint64_t hash) const { return (hash >> 32) & (keys_.size() - 1); }
 
-    std::array<uint64_t, 1024> filter_{};  // a bit for each of the upper 16 bits of a hash
+    std::array<uint64_t, 1024> filter_{};  // a bit for each value of a hash's upper 16 bits
 
     std::vector<uint64_t> keys_;
     std::vector<int32_t> rows_;
 };
 
-// The cells of a block of 4 × 4 × 4, in Morton order.
+// Cells of a block of 4 × 4 × 4, in Morton order.
 struct BlockCells {
     struct Cell {
         int8_t x, y, z;
     };
     std::array<Cell, 64> of;
-    std::array<std::array<uint64_t, 16>, 3> along{};  // by axis: cells whose coordinate is in a set of the numbers 0 to 3
+    std::array<std::array<uint64_t, 16>, 3> along{};  // by axis and set of 0 … 3: mask of cells with a coordinate in the set
 
     BlockCells() {
         for (int k = 0; k < 64; ++k) {
@@ -127,7 +127,7 @@ struct BlockCells {
 
 const BlockCells BLOCK_CELLS;
 
-// The samples around each sample relative to it, in 16-bit numbers, where they are near.
+// Offsets of the samples around each sample, in 16-bit numbers, if they are near.
 class NearNeighbours {
 public:
     // 3 · (2 · LARGEST)² · 16 fits into 31 bits.
@@ -149,8 +149,8 @@ public:
             }
     }
 
-    // Which neighbour is nearest to a place relative to sample `row`, counted from 1, or 0 if the sample is, the first of equal
-    // ones; −1 where numbers are too large.
+    // The neighbour nearest to a place relative to sample `row`, counted from 1; 0: the sample itself; −1: numbers too
+    // large. Of equal distances the first counts.
     int nearest(size_t row, const Place &place) const {
         if (!is_near_[row]) return -1;
         for (int64_t v : place)
@@ -188,7 +188,7 @@ public:
 
 private:
     std::vector<uint8_t> is_near_;
-    std::vector<int16_t> offsets_;  // of a sample: pairs of x and y, then z
+    std::vector<int16_t> offsets_;  // for each sample: pairs of x and y, then z
 };
 
 class Surface {
@@ -209,7 +209,7 @@ public:
         near_.take(points_, neighbours_);
     }
 
-    // The number of a sample among those that were given: samples are kept in the order of their cells, as cubes come.
+    // Input row of a sample. Samples are stored in the order of their cells, which is the order of cubes.
     int64_t given_row(int32_t row) const { return row < 0 ? row : given_rows_[size_t(row)]; }
 
     int depth() const { return depth_; }
@@ -239,14 +239,14 @@ public:
         }
     }
 
-    // The centre of a cube, half a unit before: lattice points lie at the corners of unit cubes.
+    // The centre of a cube, minus half a unit: lattice points lie at the corners of unit cubes.
     static Place centre_of(const std::array<int32_t, 3> &place, int64_t size) {
         Place centre;
         for (int d = 0; d < 3; ++d) centre[d] = place[d] * size + size / 2 - HALF_UNIT;
         return centre;
     }
 
-    // The mean distance of the cubes around each cube from the surface, and the mean deviation from it, subunits.
+    // For each cube, the mean distance of the cubes around it from the surface, and the mean deviation, subunits.
     void offsets(const std::vector<std::array<int32_t, 3>> &places, int level, const std::vector<int32_t> &nearest,
                  std::vector<int64_t> &offset, std::vector<int64_t> &spread) const {
         const int64_t size = 2 * child_size(level);
@@ -275,7 +275,7 @@ public:
             if (nearest[i] >= 0) spread[i] = deviation[size_t(nearest[i])];
     }
 
-    // The distance of a place from the tangent plane of a sample, subunits, positive outside.
+    // Signed distance of a place from the tangent plane of a sample, subunits, positive outside.
     int64_t distance(const Place &place, int32_t row) const {
         uint64_t sum = 0;
         for (int d = 0; d < 3; ++d)
@@ -283,7 +283,7 @@ public:
         return int64_t(sum) >> NORMAL_BITS;
     }
 
-    // Codes, in order, of the cells of a level that the samples within the octree lie in.
+    // Sorted codes of a level's cells that contain the samples within the octree.
     std::vector<uint64_t> sample_codes(int level) const {
         std::vector<uint64_t> result(codes_.size());
         for (size_t i = 0; i < codes_.size(); ++i) result[i] = codes_[i] >> 3 * (depth_ - level);
@@ -291,7 +291,7 @@ public:
     }
 
 private:
-    // Samples within the octree by their unit cell, those of a cell by row, then the others. A cell of any level is a run.
+    // Sorts samples within the octree by unit cell, then by row; others follow. So a cell of any level is a run.
     void sort_by_cell(const int64_t *points, size_t m) {
         const int64_t end = int64_t(1) << (SUBUNIT_BITS + depth_);
         std::vector<std::pair<uint64_t, int32_t>> sorted;
@@ -338,24 +338,24 @@ private:
             }
     }
 
-    // The first SEARCHED samples of a cell, by the rows given; NOWHERE where it holds fewer.
+    // The first SEARCHED samples of a cell, by input row; NOWHERE if it has fewer.
     using FirstSamples = std::array<int32_t, SEARCHED>;
 
-    // The cells with samples of a block of a level. ranks: of each, counted from the first.
+    // Cells with samples in a block of a level. ranks: index of each among them.
     struct Block {
         uint64_t filled = 0;
         size_t first = 0;
         std::array<uint8_t, 64> ranks{};
     };
 
-    // All cells of a level, in Morton order. at: rows of `blocks`, by the keys of their places.
+    // All cells of a level, in Morton order. at: rows of `blocks` by the keys of their places.
     struct Cells {
         KeyTable at;
         std::vector<Block> blocks;
         std::vector<FirstSamples> first;
     };
 
-    // The block of a level that a sample within the octree lies in.
+    // The block of a level that contains a sample within the octree.
     uint64_t block_of_sample(size_t row, int level) const {
         const Place &v = points_[row];
         const int bits = SUBUNIT_BITS + depth_ - level + 2;
@@ -404,7 +404,7 @@ private:
         return int64_t(sum);
     }
 
-    // The nearest among a sample and its neighbours, the first where several are; NOWHERE stays.
+    // The nearest among a sample and its neighbours, the first of equal ones; NOWHERE for NOWHERE.
     int32_t descend(const Place &centre, int32_t row) const {
         if (row < 0) return NOWHERE;
         const int32_t *around = &neighbours_[size_t(row) * NEIGHBOURS];
@@ -421,16 +421,16 @@ private:
         return found;
     }
 
-    // The nearest of the samples in the 27 cells around a cube, or `row` if none is nearer. Of samples that are as near, the
-    // first counts: cells in the order of their place along x, y and z, each first 0, then −1, then 1; in a cell by row.
+    // The nearest sample in the 27 cells around a cube, or `row` if none is nearer. Of equal distances the first
+    // counts: cells by their steps along x, y and z, each in the order 0, −1, 1; within a cell by row.
     int32_t nearest_around(const std::array<int32_t, 3> &place, const Place &centre, int64_t size, const Cells &cells,
                            int32_t row) const {
-        static constexpr int ORDER[3] = {1, 0, 2}, AXES[3] = {1, 0, 1};  // of the steps −1, 0, 1; whether they leave the cube
+        static constexpr int ORDER[3] = {1, 0, 2}, AXES[3] = {1, 0, 1};  // by step −1, 0, 1: rank; leaves the cube
         int64_t best = row < 0 ? std::numeric_limits<int64_t>::max() : square(centre, row);
         int order = -1;
         const int64_t quarter = size / 2 * (size / 2);  // squared distance of the centre from a face
-        const auto search = [&](const Block &block, int x, int y, int z, int bit) {  // a cell, steps plus 1 away from the cube
-            if ((AXES[x] + AXES[y] + AXES[z]) * quarter > best) return;  // all of the cell is farther
+        const auto search = [&](const Block &block, int x, int y, int z, int bit) {  // x, y, z: steps + 1
+            if ((AXES[x] + AXES[y] + AXES[z]) * quarter > best) return;  // the whole cell is farther
             const int first = 9 * ORDER[x] + 3 * ORDER[y] + ORDER[z];
             for (int k = 0; k < SEARCHED; ++k) {
                 const int32_t other = cells.first[block.first + block.ranks[size_t(bit)]][size_t(k)];
@@ -467,10 +467,10 @@ private:
         return row;
     }
 
-    // The mean of the values at the cubes' samples over each sample and its neighbours; of samples without cubes, 0.
+    // For each sample, the mean over it and its neighbours of the values of their cubes; 0 without cubes.
     std::vector<int64_t> mean_around(const std::vector<int64_t> &values, const std::vector<int32_t> &rows,
                                      int64_t prior) const {
-        std::vector<double> sums(points_.size(), 0.0);  // as NumPy's bincount: exact below 2^53
+        std::vector<double> sums(points_.size(), 0.0);  // like NumPy's bincount: exact below 2^53
         std::vector<int64_t> count(points_.size(), 0), total(points_.size()), result(points_.size(), 0);
         for (size_t i = 0; i < rows.size(); ++i) {
             if (rows[i] < 0) continue;
@@ -498,8 +498,8 @@ private:
     std::vector<Place> points_, normals_;
     std::vector<int32_t> neighbours_;
     NearNeighbours near_;
-    std::vector<uint64_t> codes_;        // of the unit cells of the samples within the octree, which come first
-    std::vector<int32_t> given_rows_, own_rows_;  // of a sample kept, and of a sample given
+    std::vector<uint64_t> codes_;        // unit cells of the samples within the octree, which come first
+    std::vector<int32_t> given_rows_, own_rows_;  // input row of a stored sample, and the reverse
 };
 
 }  // namespace point_octree

@@ -1,4 +1,4 @@
-// Linear algebra in a fixed order of operations, for codecs/tempo/models/ordered.py, whose bits these are.
+// Linear algebra in a fixed order of operations, with the bits of codecs/tempo/models/ordered.py.
 
 #include <algorithm>
 #include <cmath>
@@ -31,7 +31,7 @@ Output<double> ordered_matmul(Matrix a, Matrix b) {
     return out.give({rows, columns});
 }
 
-// ordered.sum_first_axis of (rows, width), in place: the sum is in the first row.
+// ordered.sum_first_axis of (rows, width), in place: the first row becomes the sum.
 void sum_rows(double *of, size_t rows, size_t width) {
     for (; rows > 1; rows /= 2) {
         const size_t half = rows / 2;
@@ -41,7 +41,7 @@ void sum_rows(double *of, size_t rows, size_t width) {
     }
 }
 
-// ordered.orthonormal: what is left of the rows, a column for each, and the directions that were found, as columns.
+// ordered.orthonormal: remainders of the rows, and the directions found, both as columns.
 class GramSchmidt {
 public:
     GramSchmidt(const double *rows, size_t count, size_t dimensions, size_t most)
@@ -54,7 +54,7 @@ public:
 
     const std::vector<double> &size() const { return size_; }
 
-    // The number of directions.
+    // Finds directions; returns their number.
     size_t run(double floor) {
         for (size_t n = 0; n < most_; ++n) {
             const size_t longest = largest();
@@ -74,7 +74,7 @@ public:
     }
 
 private:
-    // The first of the largest, or the first that is not a number, as in NumPy.
+    // Index of the first largest value, or of the first NaN, as in NumPy.
     size_t largest() const {
         size_t at = 0;
         for (size_t r = 0; r < count_; ++r) {
@@ -84,7 +84,7 @@ private:
         return at;
     }
 
-    // The longest row that is left, at right angles to the n directions before, of length one.
+    // Direction n: the longest remaining row, made orthogonal to the n earlier directions and of length 1.
     void begin(size_t longest, size_t n) {
         const double length = std::sqrt(size_[longest]);
         for (size_t d = 0; d < dimensions_; ++d) unit_[d] = left_[d * count_ + longest] / length;

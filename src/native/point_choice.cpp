@@ -1,6 +1,6 @@
-// Which lattice points stand for the points of a frame, for codecs/bodycast/point_choice.py, which defines the results.
+// Chooses lattice points for the points of a frame, for codecs/bodycast/point_choice.py, which defines the results.
 //
-//     candidates of each point, errors, costs of cells ─► points change their cell ─► cells open for several ─► choices
+//     candidates of each point, errors, costs of cells ─► points change cells ─► cells open for several ─► choices
 
 #include <algorithm>
 #include <cstdint>
@@ -17,7 +17,7 @@ using Rows = Input<int64_t, 1>;
 
 class Choice {
 public:
-    // starts (n + 1): the candidates of point i are starts[i] … starts[i + 1] − 1. cell_of, errors (k): of candidates.
+    // starts (n + 1): point i has candidates starts[i] … starts[i + 1] − 1. cell_of, errors (k): of candidates.
     Choice(const Rows &starts, const Rows &cell_of, const Rows &errors, const Rows &costs, const Rows &chosen)
         : starts_(starts.data()), cell_of_(cell_of.data()), errors_(errors.data()), costs_(costs.data()),
           points_(chosen.shape(0)), cells_(costs.shape(0)), chosen_(chosen.data(), chosen.data() + points_),
@@ -33,7 +33,7 @@ public:
         for (size_t k = 0; k < candidates; ++k) members_[size_t(next[size_t(cell_of_[k])]++)] = int32_t(k);
     }
 
-    // Each point takes the candidate that costs least while the others stay. Returns whether any changed.
+    // Moves each point to its cheapest candidate while the other points stay. Returns whether any point changed.
     bool change_points() {
         bool changed = false;
         for (size_t i = 0; i < points_; ++i) {
@@ -53,7 +53,8 @@ public:
         return changed;
     }
 
-    // Each cell takes all points that gain by it, if together they gain more than it costs. Returns whether any changed.
+    // Moves all points that gain by it to a cell, if together they gain more than the
+    // cell costs. Returns whether any changed.
     bool open_cells() {
         bool changed = false;
         std::vector<int32_t> taken;
@@ -69,7 +70,7 @@ public:
                 const int64_t saved = errors_[own] - errors_[k] + (users_[own_cell] == 1 ? costs_[own_cell] : 0);
                 if (saved <= 0) continue;
                 gain += saved;
-                --users_[own_cell];  // so that the last point that leaves a cell closes it
+                --users_[own_cell];  // the last point that leaves a cell closes it
                 taken.push_back(k);
             }
             for (int32_t k : taken) ++users_[size_t(cell_of_[chosen_[size_t(point_of_[size_t(k)])]])];
@@ -97,7 +98,7 @@ private:
     std::vector<int32_t> users_, first_, members_, point_of_;
 };
 
-// (n): the candidates that the points take after some rounds. chosen (n): those that they have.
+// Candidates (n) of the points after some rounds. chosen (n): initial candidates.
 Output<int64_t> choose_candidates(Rows starts, Rows cell_of, Rows errors, Rows costs, Rows chosen, int rounds) {
     const size_t n = chosen.shape(0), k = cell_of.shape(0);
     bool good = starts.shape(0) == n + 1 && errors.shape(0) == k && k < size_t(std::numeric_limits<int32_t>::max());
@@ -124,7 +125,7 @@ struct Candidate {
     int64_t square, point;
 };
 
-// Adds the lattice points within reach of a point, and within 0 … end − 1 along each axis; at least the nearest there.
+// Adds the lattice points within reach of a point and within 0 … end − 1 along each axis; at least the nearest.
 void add_candidates(const int64_t *place, int64_t point, int64_t reach, int64_t end, std::vector<Candidate> &found) {
     Candidate inside[16];
     int count = 0;
@@ -150,7 +151,7 @@ void add_candidates(const int64_t *place, int64_t point, int64_t reach, int64_t 
         if (inside[k].square <= most) found.push_back(inside[k]);
 }
 
-// starts, point, cells, squares, cell_of, first, nearest as _Choices has them, of points (n, 3) and an octree of this depth.
+// Fields starts, point, cells, squares, cell_of, first, nearest of _Choices, for points (n, 3) and an octree of this depth.
 nb::tuple lattice_candidates(Input<int64_t, 2> points, int64_t reach, int depth) {
     const size_t n = points.shape(0);
     if (points.shape(1) != 3 || depth < 0 || depth > 20) throw std::invalid_argument("lattice_candidates: shapes differ");
@@ -160,7 +161,7 @@ nb::tuple lattice_candidates(Input<int64_t, 2> points, int64_t reach, int depth)
     for (size_t i = 0; i < n; ++i) {
         starts.data[i] = int64_t(found.size());
         add_candidates(points.data() + 3 * i, int64_t(i), reach, int64_t(1) << depth, found);
-        if (size_t(starts.data[i]) == found.size()) throw std::invalid_argument("lattice_candidates: a point beyond the octree");
+        if (size_t(starts.data[i]) == found.size()) throw std::invalid_argument("lattice_candidates: a point outside the octree");
         const auto is_nearer = [](const Candidate &a, const Candidate &b) { return a.square < b.square; };
         nearest.data[i] = std::min_element(found.begin() + starts.data[i], found.end(), is_nearer) - found.begin();
     }

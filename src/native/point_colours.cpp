@@ -17,7 +17,7 @@
 
 namespace {
 
-constexpr size_t AVERAGED = 4;                          // points whose mean counts
+constexpr size_t AVERAGED = 4;                          // nearest points to average
 constexpr int64_t PLACE_WEIGHT = int64_t(1) << 40, PLACE_SOFTENING = 2000;
 constexpr int64_t CELL_WEIGHT = 1 << 20, CELL_SOFTENING = 2, WINDOW = 16;
 constexpr int UNARY = 24, WIDE_BITS = 11, FIRST_MAGNITUDE = 2, WIDE_KIND = FIRST_MAGNITUDE + UNARY;
@@ -37,7 +37,7 @@ int64_t square_between(const Number *a, const int64_t *b) {
     return sum;
 }
 
-// The AVERAGED smallest of the squares added, the first of equal ones.
+// Keeps the AVERAGED smallest squares, the first of equal ones.
 struct Nearest {
     std::array<int64_t, AVERAGED> square;
     std::array<size_t, AVERAGED> at;
@@ -56,10 +56,10 @@ void require(bool good, const char *what) {
     if (!good) throw std::invalid_argument(what);
 }
 
-constexpr size_t KEPT = 8, SEARCHED = 7;  // points of a sample; samples whose points are candidates
-constexpr int64_t SLOTS = 64;              // of candidates, at least KEPT · SEARCHED
+constexpr size_t KEPT = 8, SEARCHED = 7;  // kept points of a sample; samples searched for candidates
+constexpr int64_t SLOTS = 64;              // slots for candidates, at least KEPT · SEARCHED
 
-// AVERAGED floats side by side.
+// A vector of AVERAGED floats.
 #if defined(__SSE2__)
 struct Group {
     __m128 values;
@@ -114,10 +114,10 @@ struct Group {
 };
 #endif
 
-// The candidates that may be among the AVERAGED nearest, by squared distances in floats.
+// Finds the candidates that may be among the AVERAGED nearest, by squared distances in floats.
 class Candidates {
 public:
-    // known (3, KEPT): coordinates below 2^25 in magnitude.
+    // known (3, KEPT): coordinates with magnitudes below 2^25.
     void add(const int32_t *known, const int32_t *place) {
         for (size_t k = 0; k < KEPT; k += AVERAGED) {
             Group squares = {};
@@ -128,7 +128,8 @@ public:
         count_ += KEPT;
     }
 
-    // A bit for each: the least of AVERAGED groups are AVERAGED candidates, so none of the nearest lies farther than they do.
+    // Bit mask of candidates. The minima of AVERAGED groups are AVERAGED candidates,
+    // so the nearest are not farther than these.
     uint64_t mask() const {
         const float limit = least_.largest() * SLACK;
         uint64_t result = 0;
@@ -137,13 +138,13 @@ public:
     }
 
 private:
-    static constexpr float SLACK = 1 + 1.0f / (1 << 20);  // of rounding: a sum of three squares is off by less than 2^-21 of it
+    static constexpr float SLACK = 1 + 1.0f / (1 << 20);  // relative error of a sum of three squares < 2^-21
     float squares_[SEARCHED * KEPT];
     Group least_ = Group::of(INFINITY);
     size_t count_ = 0;
 };
 
-// The AVERAGED smallest keys added, in order, without branches.
+// Keeps the AVERAGED smallest keys, sorted, without branches.
 struct Smallest {
     int64_t keys[AVERAGED] = {INT64_MAX, INT64_MAX, INT64_MAX, INT64_MAX};
 
@@ -156,8 +157,8 @@ struct Smallest {
     }
 };
 
-// ColourMemory._expected: rows (n), places (n, 3); of the memory: neighbours (m, k), places (m, 3, kept) and colours
-// (m, kept, 3).
+// ColourMemory._expected. rows (n), places (n, 3): of the points; neighbours (m, k), known places (m, 3, kept), colours
+// (m, kept, 3): of the memory.
 Output<int64_t> expected_colours(Rows rows, Numbers places, Numbers neighbours, Input<int32_t, 3> known,
                                  Input<int32_t, 3> colours) {
     const size_t n = rows.shape(0), samples = known.shape(0), around = neighbours.shape(1);
@@ -202,7 +203,7 @@ Output<int64_t> expected_colours(Rows rows, Numbers places, Numbers neighbours, 
     return out.give({n, 3});
 }
 
-// What is known around a point before it is coded, as colour_lifting.Neighbourhood.
+// colour_lifting.Neighbourhood: the surroundings of a point before it is coded.
 struct Neighbourhood {
     std::array<int32_t, 3> base, correction, activity, spread;
 };
@@ -213,11 +214,11 @@ int64_t classes(const int *edges, int count, int64_t value) {
     return found;
 }
 
-// ColourLifting.code_frame: the colours of a frame's points, pass after pass.
+// ColourLifting.code_frame: codes the colours of a frame's points, pass by pass.
 class Frame {
 public:
     std::vector<std::array<int32_t, 3>> known;
-    std::array<int64_t, 3> products{}, squares{};  // sums over the points whose colours are expected
+    std::array<int64_t, 3> products{}, squares{};  // sums over the points with expected colours
     enum { GOOD, CUT_OFF, OUT_OF_RANGE } outcome = GOOD;
 
     Frame(Numbers cells, Numbers expected, Input<uint8_t, 1> is_expected, Rows shares, Rows steps)
@@ -284,7 +285,7 @@ private:
         return around_[k].base[channel] + (around_[k].correction[channel] * share >> SHARE_BITS);
     }
 
-    // Points 0, stride, 2 · stride, … are known; none with a stride of 0.
+    // The surroundings of a point. Points 0, stride, 2 · stride, … are known; stride 0: none.
     Neighbourhood around(size_t row, size_t stride) const {
         Neighbourhood result{};
         const bool is_expected = is_expected_.data()[row];
@@ -320,11 +321,11 @@ private:
         return result;
     }
 
-    // Integers of the points whose classes are in `place_`, kind after kind of bits. wanted: null in the decoder.
+    // Codes integers of the points with classes in `place_`, one kind of bits after another. wanted: null in the decoder.
     template <class Coder>
     void code_integers(Coder &coder, const int64_t *wanted, uint32_t level) {
         const size_t n = place_.size();
-        // Codes a bit of the first `count` integers `rows`, or of all integers. The counters of a batch are in the cache in time.
+        // Codes a bit of the first `count` integers `rows`, or of all integers; prefetches the counters of a batch.
         const auto code = [&](uint32_t kind, const size_t *rows, size_t count, const auto &bit_of, const auto &take) {
             constexpr size_t BATCH = 32;
             uint32_t counters[BATCH][bits::INPUTS], sets[BATCH];
@@ -383,12 +384,12 @@ private:
     std::vector<std::array<int32_t, 3>> bases_;
     std::vector<size_t> rows_, rest_, negative_;
     std::vector<Neighbourhood> around_;
-    std::vector<std::array<uint32_t, 4>> place_;  // channel, classes of activity and of spread, of the channels before
+    std::vector<std::array<uint32_t, 4>> place_;  // channel; classes of activity, of spread, of earlier channels
     std::vector<uint32_t> coded_;
     std::vector<int64_t> differences_, found_;
 };
 
-// (decoded colours, products, squares, 0), or (None, None, None, what is wrong).
+// (decoded colours, products, squares, 0), or (None, None, None, outcome).
 nb::tuple result_of(const Frame &frame) {
     if (frame.outcome != Frame::GOOD) return nb::make_tuple(nb::none(), nb::none(), nb::none(), int(frame.outcome));
     Fresh<int64_t> known(3 * frame.known.size()), products(3), squares(3);

@@ -1,4 +1,4 @@
-// Octree of lattice points, coded from the bodies' surface, for codecs/bodycast/point_octree.py, which defines the results.
+// Octree of lattice points, with contexts from the bodies' surface; codecs/bodycast/point_octree.py defines the results.
 //
 //     sorted Morton codes ─► level by level, octant by octant ─► occupancy bits with contexts ─► bit_arrays.h
 
@@ -8,18 +8,18 @@ namespace {
 
 using namespace point_octree;
 
-constexpr size_t BATCH = 32;  // cubes whose contexts are computed together
+constexpr size_t BATCH = 32;  // cubes with contexts computed together
 
-// What the surface says about the children of the cubes of a level, octant by octant, and what is left of it while the
-// octants are coded. All 0 for cubes without a surface near them, but for `distance`, which is FAR.
+// Hints of the surface for the children of a level's cubes, octant by octant, and the remaining sums while octants are
+// coded. For cubes far from the surface, all are 0, except `distance`, which is FAR.
 struct Hints {
     std::array<std::vector<uint16_t>, 8> narrow, wide;     // weights of the children
-    std::vector<int32_t> narrow_left, wide_left;           // sums over the octants still to come
+    std::vector<int32_t> narrow_left, wide_left;           // sums over the octants not yet coded
     std::array<std::vector<uint8_t>, 8> distance, samples;  // classes
     std::vector<uint8_t> usable;                           // whether there is a surface near the cube
 
     void reset(size_t cubes) {
-        cubes += BATCH;  // so that a batch may end beyond the last cube
+        cubes += BATCH;  // a batch may end beyond the last cube
         for (size_t octant = 0; octant < 8; ++octant) {
             narrow[octant].assign(cubes, 0);
             wide[octant].assign(cubes, 0);
@@ -32,19 +32,19 @@ struct Hints {
     }
 };
 
-// The cubes of a level with what is known of them.
+// The cubes of a level, their neighbours, known children and samples.
 struct Level {
     std::vector<uint64_t> codes;
     std::vector<std::array<int32_t, 3>> places;
-    // rows before and behind along every axis; the number of cubes if empty
+    // indices before and behind along every axis; size(): none
     std::array<std::vector<int32_t>, 6> neighbours;
-    std::vector<uint8_t> known;  // occupied octants; more cubes follow, which stay empty
+    std::vector<uint8_t> known;  // occupied octants, with extra cubes that stay empty
     std::vector<int32_t> nearest;
 
     size_t size() const { return codes.size(); }
 };
 
-// The row of an octant of a cube among the cubes of the next level; `end` if it is empty.
+// Index of a cube's octant among the cubes of the next level; `end` if it is empty.
 int32_t child_row(const std::vector<uint8_t> &masks, const std::vector<int32_t> &first, size_t parent, int octant,
                   int32_t end) {
     const unsigned mask = masks[parent];
@@ -52,7 +52,7 @@ int32_t child_row(const std::vector<uint8_t> &masks, const std::vector<int32_t> 
     return mask >> octant & 1 ? row : end;
 }
 
-// The cubes of the next level. is_last: whether no level follows, so that nothing but their codes and samples is needed.
+// The cubes of the next level. is_last: it is the last level, which needs only codes and samples.
 Level children_of(const Level &level, bool is_last) {
     std::vector<int32_t> first(level.size() + 1);
     int32_t end = 0;
@@ -90,14 +90,14 @@ Level children_of(const Level &level, bool is_last) {
     return next;
 }
 
-// The posteriors of an octant in a batch of cubes, and what is left of their weights. The quotients of floats are exact
-// enough: numerators are below 2^19, and quotients at most POSTERIORS.
+// Posteriors of an octant in a batch of cubes; subtracts its weights from the remaining sums. Float quotients are exact
+// enough: numerators are below 2^19, quotients at most POSTERIORS.
 class Posteriors {
 public:
     void take(Hints &hints, size_t start, size_t octant) {
         take_share(hints.narrow[octant].data() + start, hints.narrow_left.data() + start, 0);
         take_share(hints.wide[octant].data() + start, hints.wide_left.data() + start, BATCH);
-        const uint8_t *usable = hints.usable.data() + start;  // quotients are 0 where there is none
+        const uint8_t *usable = hints.usable.data() + start;  // quotients are 0 far from the surface
         for (size_t k = 0; k < BATCH; ++k) narrow[k] = uint32_t(int32_t(above_[k] / below_[k]) + NO_HINT - NO_HINT * usable[k]);
         for (size_t k = 0; k < BATCH; ++k)
             wide[k] = uint32_t(int32_t(above_[BATCH + k] / below_[BATCH + k]) + NO_HINT - NO_HINT * usable[k]);
@@ -119,8 +119,8 @@ class Tree {
 public:
     Tree(int depth, const Surface *surface, const int32_t *bell) : depth_(depth), surface_(surface), bell_(bell) {}
 
-    // Codes a frame. codes: of the points, null in the decoder. Returns whether the bytes were a tree of `points` points;
-    // `failed_level` and `failed_cubes` say where they were not.
+    // Codes a frame. codes: of the points, null in the decoder. Returns whether the bytes are a tree of `points`
+    // points; if not, `failed_level` and `failed_cubes` say where.
     template <class Coder>
     bool code(Coder &coder, const uint64_t *codes, size_t points) {
         level_.codes = {0};
@@ -171,8 +171,8 @@ private:
         for (int place = 0; place < count; ++place) code_octant(coder, octants[place], count - place - 1, height, occupied);
     }
 
-    // Codes one octant of all cubes; `left` octants follow. The contexts depend on octants before it alone, so those of a
-    // batch of cubes come before its bits, and their counters are in the cache in time.
+    // Codes one octant of all cubes; `left` octants follow. Contexts depend only on earlier octants, so a batch
+    // computes its contexts first and prefetches the counters.
     template <class Coder>
     void code_octant(Coder &coder, int octant, int left, int height, const uint8_t *occupied) {
         Contexts of;
@@ -181,7 +181,7 @@ private:
             const size_t count = std::min(BATCH, level_.size() - start);
             set_contexts(of, start, octant, left, height);
             for (size_t k = 0; k < count; ++k) coder.fetch(of.counters[k]);
-            uint8_t bits[BATCH];  // not those of `known`: writing bytes there would make the compiler read all else again
+            uint8_t bits[BATCH];  // a copy: writing bytes of `known` would make the compiler reload everything
             for (size_t k = 0; k < count; ++k) {
                 bits[k] = 1;
                 if (left || known[start + k])
@@ -191,14 +191,14 @@ private:
         }
     }
 
-    // What the bits of a batch are coded with.
+    // Counters and weight sets for the bits of a batch.
     struct Contexts {
         uint32_t counters[BATCH][bits::INPUTS], sets[BATCH];
         uint32_t by_input[bits::INPUTS][BATCH];
     };
 
-    // The contexts of an octant of a batch, as counters, and their sets of weights; docs/payloads/bodycast-points.md has the
-    // table. Simple loops, of which a compiler makes lanes.
+    // Computes the contexts of an octant in a batch, as counters, and the weight sets (table in
+    // docs/payloads/bodycast-points.md). Compilers vectorise the simple loops.
     void set_contexts(Contexts &of, size_t start, int octant, int left, int height) {
         const uint32_t tall = uint32_t(std::min(height, 15)), set = uint32_t(std::min(height, 20) * 4);
         const uint8_t *known = level_.known.data(), *own = known + start, *filled = filled_.data() + start;
@@ -232,7 +232,7 @@ private:
             for (int i = 0; i < bits::INPUTS; ++i) of.counters[k][i] = of.by_input[i][k];
     }
 
-    // Whether octants and cubes beside an octant of a batch are occupied, by axis: two bits each.
+    // Occupancy of the octants and cubes beside an octant in a batch: two bits for each axis.
     void set_neighbours(uint32_t *beside, size_t start, int octant) const {
         const uint8_t *known = level_.known.data();
         uint8_t is_before = 0;  // faces of the octant at the cube before
@@ -255,7 +255,7 @@ private:
         }
     }
 
-    // Samples near the cubes of a level, and what they say about their children: octants 0, octant_step, 2 octant_step …
+    // Finds the samples near the cubes of a level, and the hints for children 0, octant_step, 2 octant_step …
     void look_at_surface(int level, int octant_step) {
         surface_->attach(level_.places, level, level_.nearest);
         surface_->offsets(level_.places, level, level_.nearest, offset_, spread_);
@@ -282,12 +282,12 @@ private:
             classify_samples(*surface_, level_.codes, level, [&](size_t i, size_t octant, uint8_t kind) { hints_.samples[octant][i] = kind; });
     }
 
-    // Numbers that doubles hold with their sums, and deviations below which a quotient up to BELL_STEPS, by a reciprocal that is
-    // too large by 2^-50, is rounded down to the same integer.
+    // Limits of exact doubles: for numbers and their sums; for deviations, so that a quotient up to BELL_STEPS,
+    // computed with a reciprocal that is larger by a factor 1 + 2^-50, rounds down to the exact integer.
     static constexpr int64_t LARGEST_NUMBER = int64_t(1) << 48, LARGEST_DEVIATION = int64_t(1) << 36;
     static bool is_small(int64_t value) { return value < LARGEST_NUMBER && value > -LARGEST_NUMBER; }
 
-    // What the surface says about the children of cube i. distance: of the first child; step: along each axis.
+    // Hints for the children of cube i. distance: of the first child; step: change of the distance along each axis.
     void weigh_small(size_t i, int64_t distance, const int64_t *step, int64_t deviation, int side_bits, int octant_step) {
         const double x = double(step[0]), y = double(step[1]), z = double(step[2]), first = double(distance);
         const double away[8] = {first, first + x, first + y, first + x + y, first + z, first + x + z, first + y + z, first + x + y + z};
@@ -310,7 +310,7 @@ private:
         }
     }
 
-    // The same for any numbers, of damaged files.
+    // weigh_small without limits, for damaged files.
     void weigh(size_t i, int64_t distance, const int64_t *step, int64_t deviation, int side_bits, int octant_step) {
         for (int octant = 0; octant < 8; octant += octant_step) {
             int64_t away = distance;
@@ -324,7 +324,7 @@ private:
         }
     }
 
-    // The normal density at a distance in steps of the table.
+    // Normal density at a distance, in steps of the table.
     uint16_t weight(double steps) const {
         return uint16_t(bell_[steps < BELL_STEPS ? int(steps) : BELL_STEPS]);
     }
@@ -337,14 +337,14 @@ private:
     Hints hints_;
     Posteriors posteriors_;
     std::vector<int64_t> offset_, spread_;
-    std::vector<uint8_t> filled_, before_;  // classes of the number of neighbours; those before, as contexts have them
+    std::vector<uint8_t> filled_, before_;  // classes of the number of neighbours; context bits of the cubes before
 };
 
 std::array<int32_t, 3> place_of_code(uint64_t code) {
     return {int32_t(gathered_bits(code)), int32_t(gathered_bits(code >> 1)), int32_t(gathered_bits(code >> 2))};
 }
 
-// A sample near each of the sorted distinct codes of points, as the octree finds them.
+// The sample near each of sorted distinct codes, with the octree's search.
 Output<int64_t> samples_of_points(const Surface &surface, Input<uint64_t, 1> codes) {
     const int depth = surface.depth();
     for (size_t i = 0; i < codes.shape(0); ++i)

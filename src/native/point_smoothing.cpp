@@ -20,13 +20,13 @@
 namespace {
 
 constexpr int FINE_BITS = 8, NORMAL_BITS = 10, SUBUNIT_BITS = 4, WEIGHT_BITS = 10;
-constexpr int PER_SAMPLE = 4;  // points of a sample that others are compared with
+constexpr int PER_SAMPLE = 4;  // reference points of a sample
 constexpr int64_t LEAST_COSINE = 315;
 constexpr int64_t GAIN_AT_UNIT = 48000, GAIN_LOSS = 90, LARGEST_MOVE = 1 << (FINE_BITS - 1);
 
 using Numbers = Input<int64_t, 2>;
 
-// The points of each sample, in order.
+// The points of each sample, ascending.
 struct PointsOfSamples {
     std::vector<int32_t> first, points;
 
@@ -41,7 +41,7 @@ struct PointsOfSamples {
 
     int size(size_t sample) const { return first[sample + 1] - first[sample]; }
 
-    // Reference number k of a sample: evenly among its points.
+    // Reference k of a sample; references are spread evenly over its points.
     int32_t reference(size_t sample, int k) const {
         return points[size_t(first[sample] + (size(sample) > PER_SAMPLE ? k * size(sample) / PER_SAMPLE : k))];
     }
@@ -51,7 +51,7 @@ struct Move {
     int64_t length, deviation;
 };
 
-// total, largest: of the weights. sum: of weight · distance; deviation_of: the sum of weight · |distance − mean|.
+// total, largest: of the weights; sum: Σ weight · distance; deviation_of: returns Σ weight · |distance − mean|.
 template <class DeviationOf>
 Move move_of(int64_t total, int64_t largest, int64_t sum, DeviationOf deviation_of) {
     const int64_t mean = floor_quotient(sum, std::max<int64_t>(total + largest, 1));
@@ -61,11 +61,11 @@ Move move_of(int64_t total, int64_t largest, int64_t sum, DeviationOf deviation_
 }
 
 #if defined(__SSE2__)
-// The same as Neighbourhood in 16-bit numbers, eight references side by side, for frames whose coordinates fit. Weights come
-// from a table of the squared distance.
+// Neighbourhood in 16-bit numbers, eight references at a time, for frames with small coordinates. Weights come from a
+// table over the squared distance.
 class ShortNeighbourhood {
 public:
-    // spacing: of the samples, subunits.
+    // spacing: between samples, subunits.
     ShortNeighbourhood(const PointsOfSamples &of, const Numbers &cells, const Numbers &normals, const Numbers &neighbours,
                        int64_t spacing)
         : neighbours_(neighbours.data()), around_(neighbours.shape(1)) {
@@ -100,7 +100,7 @@ public:
             const int16_t *away = &normals_[4 * other];
             const int32_t cosine = own[0] * away[0] + own[1] * away[1] + own[2] * away[2];
             const int32_t x = own[0] + away[0], y = own[1] + away[1], z = own[2] + away[2];
-            // four references at once: those that do not count are written over
+            // four references at once; unused ones are overwritten
             put(near_places_, four(&places_[8 * other]));
             put(near_heights_, four(&heights_[8 * other]));
             put(near_normals_, _mm_set1_epi32((x & 0xffff) | y * 65536));
@@ -111,7 +111,7 @@ public:
         std::fill(counting_ + size_, counting_ + (size_ + LANES - 1) / LANES * LANES, int16_t(0));
     }
 
-    // The move of a point of the frame; references at its place, such as itself, do not count. False if a reference is too far.
+    // The move of a point of the frame, without references at its place (such as itself). False if a reference is too far.
     bool move(const int64_t *place, Move &result) const {
         const int32_t x = short_of(place, 0), y = short_of(place, 1), z = short_of(place, 2);
         const __m128i at = _mm_set1_epi32((x & 0xffff) | y * 65536), height = _mm_set1_epi32(z & 0xffff);
@@ -160,8 +160,8 @@ public:
 
 private:
     static constexpr size_t LANES = 8, BLOCKS = 7;
-    static constexpr int LARGEST = 1 << 13;    // of normals and distances: then sums of BLOCKS products fit into 32 bits
-    static constexpr int64_t WEIGHTS = 16384;  // entries of the table
+    static constexpr int LARGEST = 1 << 13;    // normals and distances: sums of BLOCKS products fit into 32 bits
+    static constexpr int64_t WEIGHTS = 16384;  // entries of the weight table
 
     bool take_origin(const Numbers &cells) {
         if (!cells.size()) return false;
@@ -210,14 +210,14 @@ private:
     const int64_t *neighbours_;
     const size_t around_;
     int64_t origin_[3];
-    std::vector<uint8_t> counts_;                        // references of each sample
-    std::vector<int16_t> places_, heights_;              // of four references a sample: pairs of x and y, of z and 0
+    std::vector<uint8_t> counts_;                        // number of references of each sample
+    std::vector<int16_t> places_, heights_;              // four references a sample: pairs of x and y, of z and 0
     std::vector<int16_t> normals_;                       // four numbers a sample
-    std::vector<int16_t> weights_;                       // of a squared distance in lattice units; 0 at the place itself
-    size_t size_ = 0;                                    // of the references gathered
+    std::vector<int16_t> weights_;                       // by squared distance in lattice units; 0 at distance 0
+    size_t size_ = 0;                                    // number of gathered references
     static constexpr size_t ROOM = 2 * (LANES * BLOCKS + LANES);
     int16_t near_places_[ROOM] = {}, near_heights_[ROOM] = {}, near_normals_[ROOM] = {}, near_ups_[ROOM] = {};  // pairs
-    int16_t counting_[ROOM] = {};                        // −1 for a reference, 0 beyond
+    int16_t counting_[ROOM] = {};                        // −1: reference; 0: after the last
 };
 #else
 struct ShortNeighbourhood {
@@ -229,7 +229,7 @@ struct ShortNeighbourhood {
 };
 #endif
 
-// The points that those of one sample are compared with.
+// The reference points for the points of one sample.
 class Neighbourhood {
 public:
     Neighbourhood(const Numbers &cells, const Numbers &normals, const Numbers &neighbours, int64_t spacing)
@@ -257,19 +257,19 @@ public:
 
     Move move(size_t point) { return move_at(cells_ + 3 * point, int32_t(point), is_near_); }
 
-    // The move of a point at a place. skipped: a reference that does not count, nor do those at the place itself. is_near:
-    // whether the place is known to be near all references.
+    // The move of a point at a place. Ignores reference `skipped` and references at the place itself. is_near: the
+    // place is known to be near all references.
     Move move_at(const int64_t *place, int32_t skipped, bool is_near = false) {
         if (is_near || all_are_near(place)) return near_move(double(place[0]), double(place[1]), double(place[2]), skipped);
         return distant_move(place, skipped);
     }
 
 private:
-    // Differences of coordinates up to which doubles are exact: a divisor below 2^40 keeps quotients that are no
-    // integers, below 2^12, farther from the next integer than they round, and products fit into int32.
+    // Limit of coordinate differences for exact doubles: divisors are below 2^40 and quotients below 2^12, so the
+    // distance of a quotient from the next integer exceeds its rounding error; products fit into int32.
     static constexpr int64_t NEAR = 1 << 14;
     static constexpr double OFFSET = 1 << 29;
-    static constexpr size_t LANES = 4;  // sums side by side
+    static constexpr size_t LANES = 4;  // parallel sums
 
     bool all_are_near(const int64_t *place) const {
         for (size_t k = 0; k < size_; ++k)
@@ -278,7 +278,7 @@ private:
         return true;
     }
 
-    // Adds the references of another sample, if it faces the same way.
+    // Adds the references of another sample if its normal has a similar direction.
     void add(const PointsOfSamples &of, size_t sample, size_t other) {
         const int64_t *own = normals_ + 3 * sample, *away = normals_ + 3 * other;
         if (!of.size(other) || dot(own, away) < LEAST_COSINE << NORMAL_BITS) return;
@@ -291,7 +291,7 @@ private:
         }
     }
 
-    // Sums are of integers below 2^53, the same in any order.
+    // Sums are integers below 2^53, equal in any order.
     Move near_move(double px, double py, double pz, int32_t skipped) {
         const double unit = double(square_ << WEIGHT_BITS), least = double(square_ / 4 + 1);
         const double *x = x_.data(), *y = y_.data(), *z = z_.data(), *u = u_.data(), *v = v_.data(), *w = w_.data();
@@ -299,7 +299,7 @@ private:
         for (size_t k = 0; k < size_; ++k) {
             const double a = x[k] - px, b = y[k] - py, c = z[k] - pz;
             weights[k] = double(int32_t(unit / ((a * a + b * b + c * c) * (1 << 2 * SUBUNIT_BITS) + least)));
-            // rounded down: the offset is even, and larger than the distances
+            // rounds down: the offset is even and larger than the distances
             const double along = (a * u[k] + b * v[k] + c * w[k]) * (1.0 / (1 << (NORMAL_BITS + 1 - FINE_BITS)));
             distances[k] = double(int32_t(along + OFFSET)) - OFFSET;
         }
@@ -324,7 +324,7 @@ private:
         });
     }
 
-    // The same in integers, for points far apart.
+    // near_move in integers, for points far apart.
     Move distant_move(const int64_t *place, int32_t skipped) {
         std::vector<int64_t> weights, distances;
         int64_t total = 0, largest = 0, sum = 0;
@@ -351,14 +351,14 @@ private:
     const size_t around_;
     const int64_t square_;
     size_t size_ = 0;
-    bool is_near_;  // all points of the frame to one another
+    bool is_near_;  // whether all points of the frame are near each other
     std::vector<int32_t> rows_;
     std::vector<double> x_, y_, z_, u_, v_, w_;  // places of the references; sums of normals
     std::vector<double> weights_, distances_;
 };
 
 void require(bool good) {
-    if (!good) throw std::invalid_argument("moves_of_candidates: shapes differ, or a row lies beyond the samples");
+    if (!good) throw std::invalid_argument("moves_of_candidates: shapes differ, or a row beyond the samples");
 }
 
 void require_shapes(const Numbers &cells, const Input<int64_t, 1> &samples, const Numbers &normals,
@@ -368,10 +368,10 @@ void require_shapes(const Numbers &cells, const Input<int64_t, 1> &samples, cons
         spacing > 1 << 16)
         throw std::invalid_argument("smooth_points: shapes differ");
     for (size_t i = 0; i < n; ++i)
-        if (samples.data()[i] >= int64_t(m)) throw std::invalid_argument("smooth_points: a sample that is not there");
+        if (samples.data()[i] >= int64_t(m)) throw std::invalid_argument("smooth_points: a sample does not exist");
     for (size_t i = 0; i < neighbours.size(); ++i)
         if (neighbours.data()[i] < 0 || neighbours.data()[i] >= int64_t(m))
-            throw std::invalid_argument("smooth_points: a neighbour that is not there");
+            throw std::invalid_argument("smooth_points: a neighbour does not exist");
 }
 
 nb::tuple smooth_points(Numbers cells, Input<int64_t, 1> samples, Numbers normals, Numbers neighbours, int64_t spacing) {
@@ -406,8 +406,8 @@ nb::tuple smooth_points(Numbers cells, Input<int64_t, 1> samples, Numbers normal
     return nb::make_tuple(shifts.give({n, 3}), moves.give({n}), deviations.give({n}));
 }
 
-// (k): the moves of candidates at places (k, 3) with a sample each, beside points at cells (n, 3). skipped (k): a point that
-// does not count, −1 for none.
+// Moves (k) of candidates at places (k, 3), each with a sample, among points at cells (n, 3). skipped (k): a point to
+// ignore, −1: none.
 Output<int64_t> moves_of_candidates(Numbers places, Input<int64_t, 1> place_samples, Input<int64_t, 1> skipped, Numbers cells,
                                     Input<int64_t, 1> samples, Numbers normals, Numbers neighbours, int64_t spacing) {
     require_shapes(cells, samples, normals, neighbours, spacing);
@@ -431,7 +431,8 @@ Output<int64_t> moves_of_candidates(Numbers places, Input<int64_t, 1> place_samp
 
 constexpr uint32_t STAY_CONTEXTS = 1 << 20, STAY_WEIGHTS = 1024, DEVIATIONS = 16;
 
-// moves, deviations (n); stays (n): in the encoder. (n): whether points stay, 1 where nothing moves; None of bytes that are cut off.
+// Codes whether points stay (n); 1 without a move. moves, deviations (n); stays (n): in
+// the encoder. None if the bytes are cut off.
 template <class Coder>
 nb::object code_stays(Coder &coder, Input<int64_t, 1> moves, Input<int64_t, 1> deviations, Input<uint8_t, 1> stays) {
     const size_t n = moves.shape(0);

@@ -1,4 +1,4 @@
-// One pass over the positions of a motion, for what NumPy needs many for: what preparation looks for
+// Functions that pass once over the positions of a motion, where NumPy needs many passes: screening
 // (codecs/tempo/preparation.py), residuals on a grid (codecs/tempo/coding/direct.py), distances (metrics/motion.py).
 
 #include <algorithm>
@@ -12,11 +12,11 @@
 
 namespace {
 
-// Of positions (frames, points, 3): whether any is missing (NaN in x), whether any has the bits of the frame before
-// while another has not, whether any is a spike (leaps.spikes), whether any step is longer than `leap` metres.
+// Screens positions (frames, points, 3). Four flags: a position is missing (NaN in x); some positions, but not all,
+// repeat the bits of the frame before; a position is a spike (leaps.spikes); a step is longer than `leap` metres.
 nb::tuple screen_positions(Input<double, 3> positions, double leap, double factor) {
     const size_t frames = positions.shape(0), pitch = positions.shape(1) * 3;
-    if (positions.shape(2) != 3) throw std::invalid_argument("screen_positions: three axes");
+    if (positions.shape(2) != 3) throw std::invalid_argument("screen_positions: positions need three axes");
     const double *data = positions.data();
     bool missing = false, repeats = false, spike = false, leaps = false;
     {
@@ -44,7 +44,7 @@ nb::tuple screen_positions(Input<double, 3> positions, double leap, double facto
     return nb::make_tuple(missing, repeats, spike, leaps);
 }
 
-// leaps.discontinuities of positions (frames, points, 3), before their number is limited: the first frames after a leap.
+// leaps.discontinuities without the limit of their number: the first frames after leaps of positions (frames, points, 3).
 nb::list leap_frames(Input<double, 3> positions, double least, double factor) {
     const size_t frames = positions.shape(0), pitch = positions.shape(1) * 3;
     if (positions.shape(2) != 3) throw std::invalid_argument("leap_frames: three axes");
@@ -72,15 +72,15 @@ nb::list leap_frames(Input<double, 3> positions, double least, double factor) {
     return out;
 }
 
-// direct._predict of frame m, from known frames `around` before and after it.
+// direct._predict of frame m from the known frames m − around and m + around.
 int64_t predicted(const int64_t *values, size_t m, size_t around, size_t last) {
     const int64_t line = values[m - around] + values[std::min(m + around, last)];
     if (m < 3 * around || m + 3 * around > last) return (line + 1) >> 1;
     return (9 * line - values[m - 3 * around] - values[m + 3 * around] + 8) >> 4;
 }
 
-// Sums (coordinates,) of the magnitudes of direct._residuals but for the first frame, of one point in `every`, for positions
-// (frames, points, 3) in steps of `step` metres. None for positions too large to count in steps.
+// Sums (coordinates,) of the magnitudes of direct._residuals without the first frame, for each `every`th point of
+// positions (frames, points, 3) in steps of `step` metres. None for positions too large to count in steps.
 nb::object direct_residuals(Input<double, 3> positions, double step, size_t every, int64_t largest) {
     const size_t frames = positions.shape(0), points = positions.shape(1);
     if (positions.shape(2) != 3 || !every || !frames) throw std::invalid_argument("direct_residuals: shapes differ");
@@ -111,8 +111,8 @@ nb::object direct_residuals(Input<double, 3> positions, double step, size_t ever
     return fits ? nb::cast(sums.give({count})) : nb::none();
 }
 
-// Of two arrays of positions (frames, points, 3): whether the same samples are missing (NaN in x), and of the others their
-// number, the sum of their distances and the largest; NaN where a distance is.
+// Compares positions (frames, points, 3): whether the same samples are missing (NaN in x); number of the others, and
+// sum and maximum of their distances; NaN if a distance is NaN.
 nb::tuple compare_positions(Input<double, 3> original, Input<double, 3> decoded) {
     if (original.shape(0) != decoded.shape(0) || original.shape(1) != decoded.shape(1) || original.shape(2) != 3 ||
         decoded.shape(2) != 3)

@@ -1,4 +1,4 @@
-// The search for a cut by probabilistic PCA, for stages/segment.py: its sums, directions and distances, to rounding.
+// Search for a cut by probabilistic PCA, for stages/segment.py. Sums, directions and distances agree up to rounding.
 
 #include <algorithm>
 #include <cmath>
@@ -11,11 +11,11 @@
 
 namespace {
 
-constexpr size_t ROWS = 4, COLUMNS = 8;  // of a block of a product
+constexpr size_t ROWS = 4, COLUMNS = 8;  // rows and columns of a block of a product
 
 size_t padded(size_t n) { return (n + COLUMNS - 1) / COLUMNS * COLUMNS; }
 
-// A matrix whose rows are zero behind their columns, up to a multiple of COLUMNS.
+// A matrix with rows padded with zeros to a multiple of COLUMNS.
 struct Matrix {
     Matrix(size_t rows, size_t columns) : stride(padded(columns)), of(padded(rows) * stride, 0.0) {}
     double *operator[](size_t row) { return of.data() + row * stride; }
@@ -25,7 +25,7 @@ struct Matrix {
     std::vector<double> of;
 };
 
-// A matrix (rows, count), as it is or turned: where the next row and the next column are.
+// A view of a matrix (rows, count), possibly transposed, with strides to the next row and column.
 struct Left {
     const double *data;
     size_t to_row, to_column;
@@ -34,7 +34,7 @@ struct Left {
 Left rows_of(const Matrix &matrix) { return {matrix.of.data(), matrix.stride, 1}; }
 Left columns_of(const Matrix &matrix) { return {matrix.of.data(), 1, matrix.stride}; }
 
-// to (rows, columns) = left right, added to what it is if `keep`.
+// to (rows, columns) = left right; += if `keep`.
 ALWAYS_INLINE void multiply(const Left &left, const Matrix &right, size_t count, size_t rows, Matrix &to, bool keep) {
     const size_t columns = right.stride;
     const Four zero = Four{} * 0.0;
@@ -77,7 +77,7 @@ void product(const Left &left, const Matrix &right, size_t count, size_t rows, M
     multiply_anywhere(left, right, count, rows, to, keep);
 }
 
-// Two rows, turned into each other.
+// Rotates two rows: p ← c p − s q, q ← s p + c q.
 ALWAYS_INLINE void turn_rows(double *p, double *q, size_t stride, double c, double s) {
     for (size_t i = 0; i < stride; i += 4) {
         Four x, y;
@@ -86,8 +86,8 @@ ALWAYS_INLINE void turn_rows(double *p, double *q, size_t stride, double c, doub
     }
 }
 
-// Eigenvalues of a symmetric matrix (n, n), on its diagonal at the end, and eigenvectors, the rows of `vectors`, by cyclic
-// Jacobi rotations. A matrix that is almost diagonal takes one or two sweeps.
+// Diagonalises a symmetric matrix (n, n) by cyclic Jacobi rotations: eigenvalues on its diagonal, eigenvectors in the rows
+// of `vectors`. An almost diagonal matrix takes one or two sweeps.
 ALWAYS_INLINE void diagonalise(Matrix &matrix, Matrix &vectors, size_t n) {
     constexpr int SWEEPS = 40;
     constexpr double RELATIVE = 1e-10, ABSOLUTE = 1e-17;
@@ -140,7 +140,7 @@ double square(const double *row, size_t stride) {
     return (sum[0] + sum[1]) + (sum[2] + sum[3]);
 }
 
-// segment._search, from one start.
+// segment._search from one start.
 class Search {
 public:
     Search(const Input<double, 2> &poses, size_t leading, double still, nb::callable decompose)
@@ -150,10 +150,10 @@ public:
           gram_(leading, leading), vectors_(leading, leading), turn_(leading, leading), away_(0, dimensions_),
           total_(dimensions_, 0.0), mean_(dimensions_, 0.0) {}
 
-    // Frames [from, to) become a part of the model of `count` frames.
+    // Adds frames [from, to) to the model, which then has `count` frames.
     void grow(size_t from, size_t to, size_t count) {
         Matrix rows(to - from, dimensions_);
-        std::vector<double> sum(dimensions_, 0.0);  // of the new rows: the mean has NumPy's bits, which show where poses are still
+        std::vector<double> sum(dimensions_, 0.0);  // of the new rows; the mean has NumPy's bits, which show still poses
         for (size_t t = from; t < to; ++t) {
             std::copy_n(poses_ + t * dimensions_, dimensions_, rows[t - from]);
             for (size_t i = 0; i < dimensions_; ++i) sum[i] += rows[t - from][i];
@@ -179,7 +179,7 @@ public:
         p = std::min({p + 1, variances_.size(), std::max<size_t>(dimensions_ - 1, 1)});
         sum = std::accumulate(variances_.begin(), variances_.begin() + long(p), 0.0);
         const double rest = (trace_ - sum) / double(std::max<size_t>(dimensions_ - p, 1));
-        Matrix &away = away_;  // rows are zero behind their dimensions
+        Matrix &away = away_;  // rows are zero after their dimensions
         if (away.of.size() < padded(to - from) * away.stride) away = Matrix(to - from, dimensions_);
         double energy = 0;
         for (size_t t = from; t < to; ++t) {
@@ -217,7 +217,7 @@ private:
         for (size_t i = 0; i < dimensions_; ++i) std::copy_n(directions.data() + i * count, count, directions_[i]);
     }
 
-    // One step of subspace iteration from the directions of the last model: the covariance is squares / count less the mean's.
+    // One step of subspace iteration from the last model's directions; covariance = squares / count − mean meanᵀ.
     void follow() {
         product(rows_of(squares_), directions_, dimensions_, dimensions_, image_);
         along_mean_.assign(image_.stride, 0.0);
@@ -251,8 +251,8 @@ private:
     double trace_ = 0, count_ = 0;
 };
 
-// segment._search in poses (frames, dimensions) from frame 0: H after each growth, and the number of the growth before which to
-// cut, or −1. decompose(covariance): the leading variances and their directions.
+// segment._search in poses (frames, dimensions) from frame 0. Returns H after each growth, and the index of the growth
+// before which to cut, or −1. decompose(covariance): leading variances and their directions.
 nb::tuple ppca_search(Input<double, 2> poses, size_t initial, size_t ahead, size_t step, double kept, double rise, size_t leading,
                       double still, nb::callable decompose) {
     const size_t frames = poses.shape(0);

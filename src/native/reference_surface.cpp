@@ -1,6 +1,6 @@
-// The surface that points lie on, for codecs/bodycast/reference_surface.py, which defines the results. Integers only.
+// Estimates the surface of points, for codecs/bodycast/reference_surface.py, which defines the results. Integers only.
 //
-//     points ─► the nearest points of each ─► their plane ─► places on it, normals, neighbours that face alike
+//     points ─► nearest points of each ─► fitted plane ─► places on it, normals, neighbours with similar normals
 
 #include <array>
 #include <cmath>
@@ -17,7 +17,7 @@ using point_octree::Place;
 
 constexpr int SPREAD_BITS = 9, COLUMN_BITS = 20;
 
-// The normal of the plane through points and the origin.
+// Normal of the plane through the origin that fits points.
 Place plane_normal(const std::array<Place, NEIGHBOURS> &apart) {
     uint64_t widest = 0;
     for (const Place &p : apart)
@@ -53,7 +53,7 @@ Place plane_normal(const std::array<Place, NEIGHBOURS> &apart) {
     return column;
 }
 
-// points (m, 3), m > NEIGHBOURS, below 2^30 in magnitude. (m, NEIGHBOURS): the other points nearest to each, equal ones by row.
+// Nearest other points (m, NEIGHBOURS) of points (m, 3), equal distances by row. m > NEIGHBOURS; magnitudes below 2^30.
 Output<int64_t> nearest_others(Input<int64_t, 2> points) {
     const size_t m = points.shape(0);
     if (points.shape(1) != 3 || m <= size_t(NEIGHBOURS)) throw std::invalid_argument("nearest_others: shapes differ");
@@ -68,7 +68,7 @@ Output<int64_t> nearest_others(Input<int64_t, 2> points) {
     return rows.give({m, size_t(NEIGHBOURS)});
 }
 
-// points (m, 3): distinct, below 2^24. (places, normals, neighbours) as surface_of_points.
+// surface_of_points: (places, normals, neighbours) of points (m, 3), which are distinct and below 2^24.
 nb::tuple surface_of_points(Input<int64_t, 2> points) {
     const size_t m = points.shape(0);
     if (points.shape(1) != 3 || m <= size_t(NEIGHBOURS)) throw std::invalid_argument("surface_of_points: shapes differ");

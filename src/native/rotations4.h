@@ -1,4 +1,4 @@
-// codecs/tempo/pose/rotations.py, for four frames at a time. Results agree with NumPy's to rounding.
+// codecs/tempo/pose/rotations.py for four frames at a time. Results agree with NumPy's up to rounding.
 #pragma once
 
 #include <algorithm>
@@ -43,7 +43,8 @@ ALWAYS_INLINE Four root(const Four &of) {
     return out;
 }
 
-// arctan2(y, x) for y ≥ 0; y_2: its square. Halves the angle twice, then a fraction (Cephes, atan.c) is exact to rounding.
+// arctan2(y, x) for y ≥ 0; y_2 = y². Halves the angle twice; then a rational function
+// (Cephes, atan.c) is exact up to rounding.
 ALWAYS_INLINE Four angle_of(const Four &y, const Four &y_2, const Four &x) {
     constexpr double PI = 3.14159265358979323846;
     constexpr double P[] = {-8.750608600031904122785e-1, -1.615753718733365076637e1, -7.500855792314704667340e1,
@@ -68,13 +69,13 @@ ALWAYS_INLINE Four angle_of(const Four &y, const Four &y_2, const Four &x) {
     return out;
 }
 
-// out = frame · vector; a frame is its three axes, one after another.
+// out = frame · vector; a frame is stored as its three axes.
 template <class Frame>
 ALWAYS_INLINE void out_of(const Frame *frame, const Four *vector, Four *out) {
     for (size_t a = 0; a < 3; ++a) out[a] = frame[a] * vector[0] + frame[3 + a] * vector[1] + frame[6 + a] * vector[2];
 }
 
-// The inverse.
+// out = frame⁻¹ · vector.
 template <class Frame>
 ALWAYS_INLINE void into(const Frame *frame, const Four *vector, Four *out) {
     for (size_t a = 0; a < 3; ++a)
@@ -96,14 +97,14 @@ ALWAYS_INLINE void frame_of(const Four *vector, Four *out) {
     }
 }
 
-// tilted_directions: where a bone points after a tilt, `out` (3,).
+// tilted_directions: direction of a bone after a tilt, `out` (3,).
 ALWAYS_INLINE void tilted_direction(const double *rest, const Four &x, const Four &y, Four *out) {
     Four sine, cosine, versed;
     sin_cos(x * x + y * y, sine, cosine, versed);
     for (size_t a = 0; a < 3; ++a) out[a] = (x * rest[a] + y * rest[3 + a]) * sine + cosine * rest[6 + a];
 }
 
-// tilted_frames: all three axes of its frame; the third is the bone's direction.
+// tilted_frames: all three axes of a bone after a tilt; the third is its direction.
 ALWAYS_INLINE void tilted_frame(const double *rest, const Four &x, const Four &y, Four *out) {
     Four sine, cosine, versed;
     sin_cos(x * x + y * y, sine, cosine, versed);

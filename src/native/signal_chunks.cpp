@@ -1,8 +1,8 @@
-// Whole chunks of signals to values in one call, for signals/chunks.py, whose NumPy code does the same.
+// Decodes whole chunks of signals in one call, for signals/chunks.py, which has the same code in NumPy.
 //
 //   payload ─► records ─► lanes of residuals ─► integers, referred channels first ─► values ─► rows of the caller's array
 //
-// Bytes that are not as they should be give false: the NumPy code then says what is wrong.
+// For damaged bytes it returns false; the NumPy code then raises the error.
 
 #include <nanobind/stl/string.h>
 
@@ -22,7 +22,7 @@ using namespace signals;
 // Copies columns (columns, count) of items to rows of `out`.
 template <class T>
 void to_rows(const std::vector<const uint8_t *> &columns, size_t count, uint8_t *out) {
-    constexpr size_t ROWS = 64;  // of a block, whose columns stay in the cache
+    constexpr size_t ROWS = 64;  // rows of a block; its columns fit into the cache
     const size_t width = columns.size();
     for (size_t start = 0; start < count; start += ROWS) {
         const size_t end = std::min(count, start + ROWS);
@@ -34,8 +34,8 @@ void to_rows(const std::vector<const uint8_t *> &columns, size_t count, uint8_t 
 
 class SignalDecoder {
 public:
-    // Of each channel: kind, step and offset (channels, 2), exponent or the channel that it copies, item of a constant
-    // (channels, bytes of an item), where its part of all palettes starts. type: the letter of NumPy's kind of type.
+    // For each channel: kinds; steps (channels, 2): step and offset; places: exponent, or the copied channel; constants
+    // (channels, bytes of an item); palette_starts: start in `palettes`. type: letter of NumPy's kind of type.
     SignalDecoder(Input<uint8_t, 1> kinds, Input<double, 2> steps, Input<int64_t, 1> places, Input<uint8_t, 2> constants,
                   Input<uint64_t, 1> palettes, Input<int64_t, 1> palette_starts, const std::string &type,
                   nb::callable inflate, nb::callable unlzma2, Input<int16_t, 2> high, Input<int16_t, 3> low)
@@ -52,21 +52,21 @@ public:
             if (start < 0 || end < start || uint64_t(end) > palettes_.size() ||
                 (kinds.data()[i] == COPY && uint64_t(places.data()[i]) >= channels) ||
                 (kinds.data()[i] == PALETTE && start == end))
-                throw std::invalid_argument("SignalDecoder: a form out of range");
+                throw std::invalid_argument("SignalDecoder: a form is out of range");
             forms_.push_back({kinds.data()[i], steps.data()[2 * i], steps.data()[2 * i + 1], places.data()[i],
                               palettes_.data() + start, size_t(end - start)});
         }
     }
 
-    // Rows `first` to `first` + those of `out` of the wanted channels in a chunk of this many samples.
-    // out: (rows, wanted · bytes of an item).
+    // Decodes rows [first, first + rows) of the wanted channels in a chunk of `samples` samples. out: (rows, wanted ·
+    // bytes of an item).
     bool decode(nb::bytes payload, size_t samples, size_t first, Input<int64_t, 1> wanted, InPlace<uint8_t, 2> out) {
         const size_t width = wanted.shape(0), rows = out.shape(0);
         if (out.shape(1) != width * item_ || first > samples || rows > samples - first)
-            throw std::invalid_argument("SignalDecoder: rows out of range");
+            throw std::invalid_argument("SignalDecoder: rows are out of range");
         for (size_t i = 0; i < width; ++i)
             if (uint64_t(wanted.data()[i]) >= forms_.size())
-                throw std::invalid_argument("SignalDecoder: a channel out of range");
+                throw std::invalid_argument("SignalDecoder: a channel is out of range");
         try {
             const auto *bytes = reinterpret_cast<const uint8_t *>(payload.c_str());
             records_ = RecordReader{forms_, samples, item_, inflate_}.read_all({bytes, bytes + payload.size()});
@@ -107,7 +107,7 @@ private:
     std::vector<Form> forms_;
     std::vector<Record> records_;
 
-    // These channels and those that they refer to, each after the ones that it refers to.
+    // Topological order: the wanted channels and the channels that they refer to, each after its references.
     std::vector<size_t> in_order(const std::vector<size_t> &wanted) {
         std::vector<size_t> order, stack(wanted.rbegin(), wanted.rend());
         std::vector<uint8_t> state(forms_.size());  // 1: its references are on the stack, 2: in order
@@ -207,7 +207,7 @@ private:
         return kept_values<uint64_t>(form, record, out);
     }
 
-    // All items of a channel that is no copy.
+    // All items of a channel that is not a copy.
     std::vector<uint8_t> column(size_t channel, size_t samples) {
         std::vector<uint8_t> out(std::max<size_t>(1, samples * item_));
         const Record &record = records_[channel];

@@ -1,4 +1,4 @@
-// The encoder's choice of predictors for all channels of a chunk, for signals/fitting.py, whose NumPy code does the same.
+// Chooses predictors for all channels of a chunk, for signals/fitting.py, which has the same code in NumPy.
 
 #include <stdexcept>
 #include <utility>
@@ -12,14 +12,14 @@ namespace {
 
 using namespace signals;
 
-// fitting.py has the same constants and the reasons.
+// fitting.py has the same constants and explains them.
 constexpr size_t FIT_SAMPLES = 2048, PURSUIT_SAMPLES = 640, MIN_SAMPLES = 24, MOST_REFERENCES = 8;
-constexpr int MAX_DEPTHS[] = {6, 3};  // of channels of a grid, of counts
+constexpr int MAX_DEPTHS[] = {6, 3};  // for channels on a grid, and for counts
 constexpr int MOST_SUM_BITS = 58;
 constexpr double MAX_TAP = double(int64_t(1) << 52);
 
 struct Reference {
-    size_t place;  // of the channel among those of the chunk
+    size_t place;  // index of the channel in the chunk
     int64_t taps[REFERENCE_TAPS];
 };
 
@@ -32,8 +32,8 @@ struct Predictor {
 };
 
 struct Channel {
-    std::vector<int64_t> own;  // the samples that are kept
-    std::vector<size_t> places;  // of them in the chunk
+    std::vector<int64_t> own;  // kept samples
+    std::vector<size_t> places;  // their indices in the chunk
     int64_t rank;
     bool is_counts;
 };
@@ -113,7 +113,7 @@ std::vector<Fit> fits(const Matrix &matrix, size_t others, size_t order, size_t 
 
 uint64_t size_of(int64_t x) { return x < 0 ? 0 - uint64_t(x) : uint64_t(x); }
 
-// The part of a predictor that follows from a fit and a shift; false if its numbers are too large.
+// Sets the fields of a predictor that a fit and a shift determine; false if its numbers are too large.
 bool scale(const Fit &fit, const std::vector<size_t> &others, const Samples &samples, int64_t first, int shift,
            Predictor &out) {
     const double unit = std::ldexp(1.0, shift);
@@ -166,7 +166,7 @@ size_t varint_bytes(int64_t number) {
     return bytes;
 }
 
-// The bytes of prediction.pack. numbers: of the channels in the signal.
+// Number of bytes of prediction.pack. numbers: of the channels in the signal.
 size_t packed_bytes(const Predictor &predictor, const int64_t *numbers) {
     size_t bytes = 3 + varint_bytes(predictor.bias);
     for (const int64_t tap : predictor.own) bytes += varint_bytes(tap);
@@ -220,7 +220,7 @@ nb::object array_of(const std::vector<T> &values) {
     return nb::cast(out.give({values.size()}));
 }
 
-// fitting._fit: the predictor as a tuple, or none, and the residuals.
+// fitting._fit: the predictor as a tuple, or None, and the residuals.
 nb::tuple choose_one(const Channel &channel, const std::vector<size_t> &others, const Samples &samples,
                      const int64_t *numbers, bool &has_references) {
     const int64_t first = channel.own[0];
@@ -253,7 +253,7 @@ nb::tuple choose_one(const Channel &channel, const std::vector<size_t> &others, 
                           array_of(best));
 }
 
-// fitting.choose. samples, kept: (channels, samples); numbers: of the channels in the signal; alone: without others.
+// fitting.choose. samples, kept: (channels, samples); numbers: of the channels in the signal; alone: no references.
 nb::list signals_choose(Input<int64_t, 2> samples, Input<uint8_t, 2> kept, Input<int64_t, 1> numbers,
                         Input<int64_t, 1> ranks, Input<uint8_t, 1> is_counts, bool alone) {
     const size_t channels = samples.shape(0), count = samples.shape(1);

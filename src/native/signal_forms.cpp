@@ -1,4 +1,5 @@
-// Values of channels to integers, for signals/forms.py, whose NumPy code does the same. The inverse is in signal_values.h.
+// Turns values of channels into integers, for signals/forms.py, which has the same code in NumPy. Inverse:
+// signal_values.h.
 
 #include <stdexcept>
 
@@ -9,11 +10,11 @@ namespace {
 
 using namespace signals;
 
-// forms.py has the same constants and the reasons.
+// forms.py has the same constants and explains them.
 constexpr int64_t MAX_INTEGER = int64_t(1) << 29, MAX_CORRECTION = int64_t(1) << 20;
-constexpr double ROUNDING = 6755399441055744.0;  // 1.5 · 2^52: adding it rounds to whole numbers, halves to even ones
+constexpr double ROUNDING = 6755399441055744.0;  // 1.5 · 2^52: adding it rounds to integers, halves to even
 
-// Integers, special samples and corrections or lower bits, (forms, samples) or (samples,).
+// Integers, special samples, and corrections or lower bits, each (forms, samples) or (samples,).
 struct Sources {
     Fresh<int64_t> integers;
     Fresh<bool> special;
@@ -81,7 +82,7 @@ nb::tuple signals_truncated(Input<T, 1> values, int64_t exponent) {
     return out.give({count});
 }
 
-// forms.lower_bits: those of each integer on a grid, as many as its value has below it, packed in bytes.
+// forms.lower_bits: bits of each value below its integer on a grid, packed in bytes.
 template <class T>
 Output<uint8_t> signals_lower_bits(Input<int64_t, 1> integers, Input<int64_t, 1> extra, int64_t exponent) {
     if (integers.shape(0) != extra.shape(0)) throw std::invalid_argument("signals_lower_bits: shapes differ");

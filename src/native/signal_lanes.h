@@ -13,13 +13,13 @@
 
 namespace signals {
 
-// residuals.py has the same constants and the reasons.
+// residuals.py has the same constants and explains them.
 constexpr int CONTEXTS = 44, FIRST_SCALED = 40;
 constexpr int HIGH = 16, LOW = 4, HALF = 32, MAX_ZEROS = 30, START_CODES = 144;
 constexpr int64_t TOTAL = 1 << 15, LIMIT = int64_t(1) << 30;
 constexpr uint32_t LOWEST = 1u << 16;
 
-// The place of the highest bit of x > 0.
+// Index of the highest set bit of x > 0.
 inline int top_bit(uint64_t x) {
 #if defined(__GNUC__) || defined(__clang__)
     return 63 - __builtin_clzll(x);
@@ -31,7 +31,7 @@ inline int top_bit(uint64_t x) {
 #endif
 }
 
-// The place of the lowest bit of x > 0.
+// Index of the lowest set bit of x > 0.
 inline int lowest_bit(uint32_t x) {
 #if defined(__GNUC__) || defined(__clang__)
     return __builtin_ctz(x);
@@ -40,10 +40,10 @@ inline int lowest_bit(uint32_t x) {
 #endif
 }
 
-// residuals.start_of: the first value of the running means.
+// residuals.start_of: initial value of the running means.
 inline int64_t start_of(int code) { return int64_t(4 + (code & 3)) << (code >> 2); }
 
-// Where adaptation moves the starts of a table to after each symbol, with `floor` left for every other symbol.
+// Targets of adaptation: the starts of a table after each symbol, with `floor` for every other symbol.
 template <int N>
 struct Targets {
     int16_t of[N][N];
@@ -70,7 +70,7 @@ struct Model {
         std::memset(seen_low, 0, sizeof seen_low);
     }
 
-    // residuals._context: the shift and the context of the next residual.
+    // residuals._context: shift and context of the next residual.
     void context(int &shift, int &number) const {
         const uint64_t mean = uint64_t(fast + slow);
         const int place = top_bit(mean);
@@ -86,7 +86,7 @@ struct Model {
     }
 };
 
-// The bits by which a table moves towards its targets.
+// Adaptation rate of a table, as a shift.
 inline int rate_of(uint16_t &seen) {
     const int rate = 7 + (seen >> 6 != 0);
     seen = uint16_t(seen + (seen < 64));
@@ -100,7 +100,7 @@ uint32_t frequency(const int16_t *starts, int symbol) {
 
 #if defined(__SSE2__)
 
-// The symbol whose interval holds the lowest 15 bits of the state.
+// The symbol with the interval that contains the lowest 15 bits of the state.
 template <int N>
 int find(const int16_t *starts, uint32_t state) {
     const __m128i slot = _mm_set1_epi16(int16_t(state & (TOTAL - 1)));
@@ -151,10 +151,10 @@ void adapt(int16_t *starts, int symbol, uint16_t &seen, const Targets<N> &target
 
 #endif
 
-// Numbers of different widths as bytes, highest bit first.
+// Packs numbers of different widths into bytes, highest bit first.
 struct BitWriter {
     std::vector<uint8_t> bytes;
-    uint64_t open = 0;  // the bits that fill no byte yet
+    uint64_t open = 0;  // bits of an incomplete byte
     int open_bits = 0;
 
     void put(uint64_t number, int width) {
@@ -174,7 +174,7 @@ struct BitWriter {
 
 struct CodedLane {
     uint32_t state;
-    std::vector<uint16_t> words;  // in the order of the encoder, the last is the decoder's first
+    std::vector<uint16_t> words;  // in encoding order; the decoder starts from the last
     std::vector<uint8_t> raw;
 };
 
@@ -221,7 +221,7 @@ struct BitReader {
     const uint8_t *bytes;
     size_t size, at = 0;
 
-    // The next bits from the highest on, at least 57; zeros past the end.
+    // The next bits, at least 57, highest first; zeros past the end.
     uint64_t window() const {
         uint64_t window = 0;
         const size_t first = at >> 3;
@@ -240,23 +240,23 @@ struct BitReader {
     }
 };
 
-// residuals.decode for one lane, a residual at a time.
+// residuals.decode for one lane, one residual at a time.
 struct LaneDecoder {
     Model model;
     int64_t *out;
     uint32_t state;
-    std::vector<uint16_t> words;  // and one more, which is read where they have run out
+    std::vector<uint16_t> words;  // with an extra word, which is read after the last
     size_t word_count, used = 0;
     BitReader bits;
     bool is_lane = true;
 
-    // words: bytes of this many words.
+    // words: bytes of `word_count` words.
     LaneDecoder(const Model &model, int64_t *out, uint32_t state, const uint8_t *words, size_t word_count, BitReader bits)
         : model(model), out(out), state(state), words(word_count + 1), word_count(word_count), bits(bits) {
         for (size_t i = 0; i < word_count; ++i) this->words[i] = uint16_t(words[2 * i] | words[2 * i + 1] << 8);
     }
 
-    // Takes the symbol's interval off the state, without a branch.
+    // Removes the symbol's interval from the state, without a branch.
     void pull(uint32_t start, uint32_t f) {
         const uint32_t x = f * (state >> 15) + (state & (TOTAL - 1)) - start;
         const uint32_t is_short = x < LOWEST;
@@ -291,14 +291,14 @@ struct LaneDecoder {
         model.observe(residual);
     }
 
-    // Whether everything was used up exactly.
+    // Whether the state, the words and the bits end exactly here.
     bool is_done() const {
         return is_lane && state == LOWEST && used == word_count && (bits.at + 7) / 8 == bits.size;
     }
 };
 
-// Decodes lanes of these numbers of residuals. Four advance in turn, since the processor computes what does not depend on
-// each other at the same time. False if the bytes of one are no lane of its length.
+// Decodes lanes; counts: number of residuals of each. Four lanes advance in turn, so that the processor computes them
+// in parallel. False if the bytes of a lane are not a lane of its length.
 inline bool decode_lanes(std::vector<LaneDecoder> &lanes, const std::vector<size_t> &counts) {
     constexpr size_t WAYS = 4;
     size_t first = 0;

@@ -1,5 +1,5 @@
-// Least squares for the predictors of signals (signals/fitting.py): floats, in the order of the NumPy code, with sums from
-// the first row to the last.
+// Least squares for the predictors of signals (signals/fitting.py). Float operations have the order of the NumPy code,
+// with sums from the first row to the last.
 #pragma once
 
 #include <algorithm>
@@ -11,9 +11,9 @@ namespace signals {
 
 using Floats = std::vector<double>;
 
-// fitting.py has the same constants and the reasons.
+// fitting.py has the same constants and explains them.
 constexpr size_t BLOCK = 32, FIRST_ORDER = 8, REFERENCE_TAPS = 3;
-constexpr size_t TILE = 4, GRAM_ROWS = 64;  // of the sums of products that stay in registers, and rows of a block
+constexpr size_t TILE = 4, GRAM_ROWS = 64;  // side of a tile of sums in registers; rows of a block
 constexpr size_t ORDERS[] = {0, 1, 2, 4, 8, 16};
 constexpr double RIDGE = 1e-13, LEAST_PIVOT = 1e-14, TAP_BITS = 12.0, TINY = 1e-300;
 
@@ -24,7 +24,7 @@ inline double log2_of(double value) {
     return ((1.2556887796 * m + -4.1961258395) * m + 6.0966363124) * m + -3.1560362794 + exponent;
 }
 
-// fitting._code_bits: sizes at(t) of `count` residuals.
+// fitting._code_bits of `count` residuals of sizes at(t).
 template <class At>
 double code_bits(size_t count, At at) {
     double bits = 0;
@@ -68,7 +68,7 @@ struct Samples {
     const int64_t *line(size_t channel) const { return data + channel * count; }
 };
 
-// fitting._pursuit_in_numpy: one pass over the rows for each sum, all channels of a row at a time.
+// fitting._pursuit_in_numpy: each sum takes one pass over the rows, all channels of a row together.
 inline std::vector<size_t> pursuit(const Samples &samples, size_t target, const std::vector<size_t> &candidates,
                                    const std::vector<size_t> &rows, double least, size_t most) {
     const size_t count = rows.size(), width = candidates.size();
@@ -128,7 +128,7 @@ inline std::vector<size_t> pursuit(const Samples &samples, size_t target, const 
     return chosen;
 }
 
-// Columns of a design matrix (rows, width), the last of which the others sum up to.
+// A design matrix (rows, width). Its last column is the target of the fit.
 struct Matrix {
     size_t width;
     Floats data;
@@ -137,10 +137,10 @@ struct Matrix {
     const double *row(size_t i) const { return data.data() + i * width; }
 };
 
-// Numbers of columns, of which the last is the one to explain.
+// Indices of columns; the last is the target.
 using Columns = std::vector<size_t>;
 
-// Adds the products of columns [j, j + 4) and [k, k + 4) of some rows to their sums, from the first row to the last.
+// Adds the products of columns [j, j + 4) and [k, k + 4) of some rows to `sums`, from the first row to the last.
 inline void add_products(const double *rows, size_t count, size_t stride, size_t j, size_t k, double *sums) {
     double tile[TILE][TILE];
     for (size_t a = 0; a < TILE; ++a)
@@ -152,7 +152,7 @@ inline void add_products(const double *rows, size_t count, size_t stride, size_t
         for (size_t b = 0; b < TILE; ++b) sums[(j + a) * stride + k + b] = tile[a][b];
 }
 
-// fitting._gram of these columns, the lower triangle. weights: of the rows, or none. Blocks of rows stay in the cache.
+// fitting._gram of columns: the lower triangle. weights: of the rows, or empty. Blocks of rows fit into the cache.
 inline Floats gram_of(const Matrix &matrix, const Columns &columns, const Floats &weights) {
     const size_t width = columns.size(), stride = (width + TILE - 1) / TILE * TILE;
     Floats sums(stride * stride), block(GRAM_ROWS * stride);
@@ -222,7 +222,7 @@ inline size_t best_size(const Triangle &of, size_t fixed, size_t order, size_t c
     return best;
 }
 
-// fitting._left: what the taps leave of the last of these columns.
+// fitting._left: residuals of the last column after prediction with the taps.
 inline Floats left_of(const Matrix &matrix, const Columns &columns, const Floats &taps) {
     Floats left(matrix.rows());
     for (size_t i = 0; i < left.size(); ++i) {

@@ -13,7 +13,7 @@ inline int64_t clamp_prediction(uint64_t sum, int shift) {
     return std::clamp<int64_t>(int64_t(sum) >> shift, -MAX_PREDICTION, MAX_PREDICTION);
 }
 
-// prediction._add_taps: sums[t] += taps[i] · samples[t − delay − i], the first sample before the first.
+// prediction._add_taps: sums[t] += taps[i] · samples[t − delay − i]; before the first sample, the first repeats.
 inline void add_taps(int64_t *sums, const int64_t *samples, size_t count, const int64_t *taps, size_t order,
                      size_t delay) {
     if (!count) return;
@@ -29,8 +29,7 @@ inline void add_taps(int64_t *sums, const int64_t *samples, size_t count, const 
     }
 }
 
-// prediction.inverse for one lane: residuals become samples in place. sums: the part of the prediction that is known
-// before.
+// prediction.inverse for one lane: turns residuals into samples in place. sums: prediction.known_sums.
 inline void restore(int64_t *residuals, const int64_t *sums, size_t count, const int64_t *own, size_t order, int shift,
                     int64_t first) {
     std::vector<int64_t> past(count + order, first);  // `order` samples before the first

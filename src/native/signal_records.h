@@ -1,4 +1,4 @@
-// Records of channels in a chunk of signals (signals/chunks.py), read but not decoded.
+// Reads the records of channels in a chunk of signals (signals/chunks.py), without decoding them.
 #pragma once
 
 #include <cstdint>
@@ -16,7 +16,7 @@ constexpr size_t MAX_ORDER = 32, MAX_REFERENCES = 16, REFERENCE_TAPS = 3;
 constexpr int MAX_SHIFT = 48;
 constexpr int64_t MAX_INTEGER = int64_t(1) << 29, MAX_TAP = int64_t(1) << 52;
 
-struct Damaged {};  // bytes that are not as they should be
+struct Damaged {};  // exception for damaged bytes
 
 inline void require(bool is_right) {
     if (!is_right) throw Damaged{};
@@ -75,7 +75,7 @@ struct Reference {
     int64_t taps[REFERENCE_TAPS];
 };
 
-// chunks._Record. integers, corrections: of the kept samples; held: of all samples, where other channels refer to them.
+// chunks._Record. integers, corrections: of the kept samples; held: of all samples, if other channels refer to them.
 struct Record {
     bool is_there = false, is_items = false, has_codes = false, has_predictor = false, is_referred = false;
     std::vector<uint8_t> codes, specials;
@@ -105,7 +105,7 @@ inline Lane read_lane(Reader &reader) {
     return lane;
 }
 
-// The result of a decompressor of Python: (data, size of the result, name for errors) to bytes.
+// Calls a decompressor of Python: (data, size of the result, name for errors) to bytes.
 inline nb::bytes unpacked(const nb::callable &unpack, Reader packed, size_t size) {
     const nb::bytes data(reinterpret_cast<const char *>(packed.at), packed.left());
     try {

@@ -1,4 +1,4 @@
-// Integers of channels to values (signals/forms.py). Floats by the operations of the NumPy code, each rounded by itself.
+// Turns integers of channels into values (signals/forms.py), with the float operations of the NumPy code, each rounded.
 #pragma once
 
 #include <algorithm>
@@ -12,7 +12,7 @@ namespace signals {
 
 enum Kind { CONSTANT, INTEGERS, COUNTS, GRID, CORRECTED, PALETTE, COPY };
 
-// forms.Form, but for the items of constants and the channels of copies.
+// forms.Form, without the items of constants and the channels of copies.
 struct Form {
     int kind;
     double step, offset;
@@ -65,7 +65,7 @@ T from_rank(int64_t rank) {
     return from_word<T>(Word((Word(size) & ~sign) | (rank < 0 ? sign : 0)));
 }
 
-// forms._last_bit: the exponent of the last bit of a value whose integer has this size, and the number of lower bits.
+// forms._last_bit: exponent of the last bit of a value with an integer of this size; sets the number of lower bits.
 template <class T>
 int64_t last_bit(const Form &form, uint64_t size, int &width) {
     const int64_t leading = top_bit(std::max<uint64_t>(size, 1)) + form.exponent;
@@ -76,8 +76,8 @@ int64_t last_bit(const Form &form, uint64_t size, int &width) {
 
 inline uint64_t size_of(int64_t integer) { return integer < 0 ? 0 - uint64_t(integer) : uint64_t(integer); }
 
-// forms.inverse for a type of floats. lower: the lower bits of a grid, corrections: of corrected counts.
-// False if there are not as many lower bits as the integers need.
+// forms.inverse for a float type. lower: lower bits of a grid; corrections: of corrected counts. False if there are too
+// few or too many lower bits.
 template <class T>
 bool float_values(const Form &form, const int64_t *integers, const int64_t *corrections, BitReader lower, size_t count,
                   T *out) {
@@ -99,7 +99,7 @@ bool float_values(const Form &form, const int64_t *integers, const int64_t *corr
     } else {
         for (size_t t = 0; t < count; ++t) {
             const uint64_t size = size_of(integers[t]);
-            if (size >> 53) return false;  // beyond what an encoder writes; NumPy decides
+            if (size >> 53) return false;  // no encoder writes it; NumPy decides
             int width;
             const int64_t last = last_bit<T>(form, size, width);
             if (size == 0) {
@@ -119,7 +119,7 @@ bool float_values(const Form &form, const int64_t *integers, const int64_t *corr
     return true;
 }
 
-// forms.inverse for a type of integers: products wrap around.
+// forms.inverse for an integer type: products wrap around.
 template <class T>
 void integer_values(const Form &form, const int64_t *integers, size_t count, T *out) {
     const auto step = uint64_t(form.step);

@@ -1,4 +1,4 @@
-// The serial loops of signals/: the adaptive coder of prediction residuals, and linear prediction. Integers only.
+// Serial loops of signals/: the adaptive coder of prediction residuals, and linear prediction. Integers only.
 
 #include <algorithm>
 #include <stdexcept>
@@ -16,7 +16,7 @@ using Numbers = Input<int64_t, 1>;
 void check_tables(const Input<int16_t, 2> &high, const Input<int16_t, 3> &low) {
     if (high.shape(0) != CONTEXTS || high.shape(1) != HIGH || low.shape(0) != CONTEXTS || low.shape(1) != HIGH ||
         low.shape(2) != LOW)
-        throw std::invalid_argument("signals: tables of another size");
+        throw std::invalid_argument("signals: tables of wrong sizes");
 }
 
 // residuals.start_code
@@ -29,7 +29,7 @@ int start_code(const int64_t *residuals, size_t count) {
     return std::min<int>(START_CODES - 1, int(4 * octave + (mean >> octave) - 4));
 }
 
-// residuals.encode: the start code, the final state, words in the order of the decoder, raw bits packed in bytes.
+// residuals.encode: start code, final state, words in decoding order, raw bits packed in bytes.
 nb::tuple signals_encode(Numbers residuals, Input<int16_t, 2> high, Input<int16_t, 3> low) {
     check_tables(high, low);
     const int start = start_code(residuals.data(), residuals.shape(0));
@@ -42,13 +42,13 @@ nb::tuple signals_encode(Numbers residuals, Input<int16_t, 2> high, Input<int16_
     return nb::make_tuple(start, lane.state, words.give({lane.words.size()}), raw.give({lane.raw.size()}));
 }
 
-// residuals.decode: the residuals of each lane, or nothing if the bytes of one are no lane of this many.
+// residuals.decode: the residuals of each lane; None if the bytes of a lane are not a lane of its length.
 nb::object signals_decode(nb::list lanes, Input<int16_t, 2> high, Input<int16_t, 3> low) {
     check_tables(high, low);
     nb::list result;
     std::vector<LaneDecoder> decoders;
     std::vector<size_t> counts;
-    std::vector<Input<uint8_t, 1>> all_bits;  // hold the arrays while their memory is read
+    std::vector<Input<uint8_t, 1>> all_bits;  // keeps the arrays alive while their memory is read
     for (nb::handle lane : lanes) {
         const nb::tuple fields = nb::cast<nb::tuple>(lane);
         const auto count = nb::cast<size_t>(fields[0]);
@@ -70,7 +70,7 @@ nb::object signals_decode(nb::list lanes, Input<int16_t, 2> high, Input<int16_t,
     return result;
 }
 
-// prediction.inverse: samples from residuals; `base` is the part of the prediction that is known before.
+// prediction.inverse: samples from residuals. base: prediction.known_sums.
 Output<int64_t> signals_restore(Numbers residuals, Numbers base, Numbers own, int shift, int64_t first) {
     const size_t count = residuals.shape(0);
     if (base.shape(0) != count) throw std::invalid_argument("signals_restore: shapes differ");

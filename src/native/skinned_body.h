@@ -20,28 +20,28 @@ auto copy(const Array &array) {
     return std::vector<std::remove_const_t<typename Array::Scalar>>(array.data(), array.data() + array.size());
 }
 
-// Asks for memory that is read soon: tables and template do not fit into the fast cache.
+// Prefetches memory: tables and template do not fit into the fast cache.
 inline void prefetch([[maybe_unused]] const void *memory) {
 #if defined(__GNUC__)
     __builtin_prefetch(memory);
 #endif
 }
 
-// A template point in the canonical pose, its normal, the two links that it follows, and the weight of the first: a line of
-// the cache, since a correspondence needs all of it.
+// A template point in the canonical pose, its normal, its two links, and the weight of the first. It is one cache line,
+// since a correspondence needs all of it.
 struct alignas(64) TemplatePoint {
     double at[3], normal[3], weight;
     int32_t first, second;
 };
 
-// A point x of link l in the canonical pose is at A_l x + b_l in the current pose. A template point follows two links:
-// its place is the mean of both, by its weight.
+// Linear blend skinning: the current pose moves a canonical point x of link l to A_l x + b_l; a template point is the
+// weighted mean over its two links.
 class SkinnedBody {
   public:
-    // Arrays as geometry/body_matching.py has them: parents (links,), origins (links, 3), lengths (links,); template
-    // points (rows, 3), links (rows, 2), weights (rows,), normals (rows, 3), colours (rows, 3) or (0, 3); and of the
-    // links' grids, laid end to end: nearest rows, corners (links, 3), sizes (links, 3), starts (links,); the edge of
-    // a cell, and how far a grid reaches beyond its link's points, metres.
+    // Arrays of geometry/body_matching.py. Body: parents (links,), origins (links, 3), lengths (links,). Template:
+    // points (rows, 3), links (rows, 2), weights (rows,), normals (rows, 3), colours (rows, 3) or (0, 3). Grids of the
+    // links, end to end: nearest rows, corners (links, 3), sizes (links, 3), starts (links,); edge of a cell, and
+    // margin of a grid around its link's points, metres.
     SkinnedBody(Input<int64_t, 1> parents, Input<double, 2> origins, Input<double, 1> lengths, Input<double, 2> points,
                 Input<int64_t, 2> links, Input<double, 1> weights, Input<double, 2> normals, Input<double, 2> colours,
                 Input<int32_t, 1> nearest, Input<double, 2> low, Input<int32_t, 2> size, Input<int64_t, 1> start,
@@ -68,7 +68,7 @@ class SkinnedBody {
         for (size_t l = 0; l < count; ++l) {
             const int32_t *s = size.data() + 3 * l;
             if (this->parents[l] >= int64_t(l))
-                throw std::invalid_argument("BodyMatcher: a link stands before its parent");
+                throw std::invalid_argument("BodyMatcher: a link comes before its parent");
             const int64_t first = start.data()[l];
             if (s[0] < 1 || s[1] < 1 || s[2] < 1 || first < 0 ||
                 uint64_t(first) + uint64_t(s[0]) * s[1] * s[2] > nearest.size())
@@ -85,7 +85,7 @@ class SkinnedBody {
         update_transforms();
     }
 
-    // A and b of every link, and the ends of their capsules, from `rotations` and `root`.
+    // Updates A and b of every link, and the ends of the capsules, from `rotations` and `root`.
     void update_transforms() {
         a.resize(9 * count);
         b.resize(3 * count);
@@ -96,7 +96,7 @@ class SkinnedBody {
         }
     }
 
-    // A and b of one link from its own rotation and its parent's transform.
+    // Updates A and b of one link from its own rotation and its parent's transform.
     void update_transform(int64_t link) {
         const double *own = &rotations[9 * link], *origin = &origins[3 * link];
         double offset[3];
@@ -112,13 +112,13 @@ class SkinnedBody {
         }
     }
 
-    // out = a point of a link's canonical coordinates, in the world: A x + b.
+    // out = A x + b: a link's canonical point, in world coordinates.
     void place(size_t link, const double *point, double *out) const {
         transform(&a[9 * link], point, out);
         for (int d = 0; d < 3; ++d) out[d] += b[3 * link + d];
     }
 
-    // out = a vector in the frame of a link's parent, in the world's.
+    // out = a vector of the frame of a link's parent, in world coordinates.
     void to_world(size_t link, const double *vector, double *out) const {
         if (parents[link] >= 0)
             transform(&a[9 * parents[link]], vector, out);
@@ -126,14 +126,14 @@ class SkinnedBody {
             std::copy_n(vector, 3, out);
     }
 
-    // out = a place of the world in a link's canonical coordinates.
+    // out = a world place, in a link's canonical coordinates.
     void to_local(int64_t link, const double *place, double *out) const {
         const double *shift = &b[3 * link];
         const double offset[3] = {place[0] - shift[0], place[1] - shift[1], place[2] - shift[2]};
         transform_back(&a[9 * link], offset, out);
     }
 
-    // out = a template point in the current pose, by linear blend skinning.
+    // out = a template point in the current pose.
     void pose_point(int64_t row, double *out) const {
         const TemplatePoint &point = points[size_t(row)];
         place(size_t(point.first), point.at, out);
@@ -143,13 +143,13 @@ class SkinnedBody {
         for (int d = 0; d < 3; ++d) out[d] = point.weight * out[d] + (1 - point.weight) * other[d];
     }
 
-    // out = the coordinates of a template point in a tree of data points: its place, and its colour if the tree has some.
+    // out = query of a template point in a tree of data points: its place and, if the tree has colours, its colour.
     void query_of(const KdTree &data, int64_t row, double *out) const {
         pose_point(row, out);
         if (data.coloured) std::copy_n(&colours[3 * row], 3, out + 3);
     }
 
-    // Where the link's grid has the template point nearest to a place in the link's canonical coordinates.
+    // The grid cell that names the template point nearest to a place, in the link's canonical coordinates.
     const uint16_t *cell_at(int64_t link, const double *local) const {
         const Grid &grid = grids[size_t(link)];
         size_t cell[3];
@@ -158,14 +158,14 @@ class SkinnedBody {
         return &nearest[grid.first_brick + grid.brick_of(cell)].rows[row_in_brick(cell)];
     }
 
-    // The template point nearest to a place of the world among those of one link, looked up in steps that many places take
-    // together, so that they wait for memory at the same time.
+    // Look-up of the template point of one link nearest to a world place, in steps that many places take together, so
+    // that their memory accesses overlap.
     struct LookUp {
         double local[3];
         const uint16_t *cell;
         const TemplatePoint *found;
         int64_t row;
-        double square;  // of the distance
+        double square;  // squared distance
 
         void start(const SkinnedBody &body, int64_t link, const double *place) {
             body.to_local(link, place, local);
@@ -180,13 +180,13 @@ class SkinnedBody {
         }
     };
 
-    // Whether no template point of a link is nearer to a place of the world than `reach`, by its capsule.
+    // Whether the link's capsule shows that no template point is nearer to a world place than `reach`.
     bool is_beyond(int64_t link, const double *place, double reach) const {
         return squared_distance_from_segment(place, &world_ends[6 * link]) >= squared(radii[link] + reach);
     }
 
-    // Squared distance of a place in a link's coordinates from the bounding box of the link's template points: a lower
-    // bound of its distance from any of them.
+    // Squared distance of a place, in a link's coordinates, from the bounding box of the link's template points: a
+    // lower bound of its distance from the points.
     double box_distance(int64_t link, const double *local) const {
         const Grid &grid = grids[size_t(link)];
         double sum = 0;
@@ -195,20 +195,20 @@ class SkinnedBody {
         return sum;
     }
 
-    const size_t count, rows;  // of links, of template points
+    const size_t count, rows;  // number of links, of template points
     const bool coloured;
     const double cell_size, margin;
     const std::vector<int64_t> parents;
     const Doubles origins, lengths;
-    const std::vector<size_t> given_rows;  // the template's rows, in the order in which they stand here: neighbours in
+    const std::vector<size_t> given_rows;  // input rows of the template, in storage order: neighbours in
                                            // space are neighbours in memory
-    std::vector<int64_t> own_rows;         // where each of the template's rows stands here
+    std::vector<int64_t> own_rows;         // storage index of each input row
     std::vector<TemplatePoint> points;
     const Doubles colours;
     std::vector<char> has_points;
-    Doubles ends, radii;                      // capsules that hold the links' template points: (links, 2, 3) canonical
+    Doubles ends, radii;                      // capsules around the links' template points: (links, 2, 3) canonical
     Doubles rotations, root;                  // the current pose
-    Doubles a, b, world_ends;                 // what follows from it
+    Doubles a, b, world_ends;                 // computed from the pose
 
   private:
     static std::vector<size_t> spatial_order(Input<double, 2> points) {
@@ -218,7 +218,7 @@ class SkinnedBody {
         return tree.order;
     }
 
-    // The rows of an array in the order of `given_rows`; nothing if it has another number of rows.
+    // The rows of an array in the order of `given_rows`; empty if the number of rows differs.
     template <class Array>
     std::vector<std::remove_const_t<typename Array::Scalar>> ordered(const Array &array) const {
         std::vector<std::remove_const_t<typename Array::Scalar>> result;
@@ -232,12 +232,12 @@ class SkinnedBody {
     static constexpr uint16_t NO_ROW = 0xffff;
     static constexpr int CAPSULE_CUTS = 8;
 
-    // 4 × 4 × 2 neighbouring cells of a grid in 16 bits each: a line of the cache.
+    // 4 × 4 × 2 neighbouring cells of a grid, 16 bits each: one cache line.
     struct alignas(64) Brick {
         uint16_t rows[32];
     };
 
-    // Where a link's grid lies, in its canonical coordinates, and in `nearest`.
+    // Position of a link's grid in its canonical coordinates, and in `nearest`.
     struct Grid {
         double low[3], last[3];          // its corner, and its last cells
         double box_low[3], box_high[3];  // the bounding box of the link's template points
@@ -250,7 +250,7 @@ class SkinnedBody {
 
     static size_t row_in_brick(const size_t *cell) { return cell[0] % 4 * 8 + cell[1] % 4 * 2 + cell[2] % 2; }
 
-    // A link's grid, given by its corner, its size and cell by cell, the last axis fastest.
+    // Adds a link's grid. low: its corner; given: rows, cell by cell, last axis fastest.
     void add_grid(const double *low, const int32_t *size, const int32_t *given) {
         Grid grid{{}, {}, {}, {}, nearest.size(), (size_t(size[1]) + 3) / 4, (size_t(size[2]) + 1) / 2};
         size_t last[3];
@@ -284,8 +284,8 @@ class SkinnedBody {
         return dot(from, from);
     }
 
-    // A capsule, a segment and a radius, that holds all template points of a link. The segment lies between two points
-    // far from each other, shortened as much as makes the capsule smallest.
+    // Adds a capsule (a segment and a radius) around all template points of a link. The segment connects two distant
+    // points, shortened so that the capsule is smallest.
     void add_capsule(size_t link) {
         std::vector<char> is_own(rows, 0);
         for (size_t brick = grids[link].first_brick; has_points[link] && brick < nearest.size(); ++brick)

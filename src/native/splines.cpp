@@ -1,4 +1,4 @@
-// Natural cubic splines through key frames, for stages/spline.py. Floats by the same operations in the same order as there.
+// Natural cubic splines through key frames, for stages/spline.py, with the same float operations in the same order.
 
 #include <nanobind/stl/optional.h>
 
@@ -18,7 +18,7 @@ namespace {
 
 using Frames = std::vector<int64_t>;
 
-// to (k) = the sum of two values and two curvatures, each (2, k), by Spline::Weights.
+// to (k) = weighted sum of two values and two curvatures, each (2, k), with Spline::Weights.
 ALWAYS_INLINE void combine(const double *values, const double *curvatures, const double (&weights)[4], size_t k, double *to) {
     size_t i = 0;
     for (; i + 4 <= k; i += 4) {
@@ -31,7 +31,7 @@ ALWAYS_INLINE void combine(const double *values, const double *curvatures, const
         to[i] = values[i] * weights[0] + values[k + i] * weights[1] + curvatures[i] * weights[2] + curvatures[k + i] * weights[3];
 }
 
-// spline._curvature, LAPACK's ptsv: curvatures (keys, k), zero at both ends, of values (keys, k) at `count` keys, three or more.
+// spline._curvature (LAPACK's ptsv): curvatures (keys, k), zero at both ends, from values (keys, k) at `count` ≥ 3 keys.
 ALWAYS_INLINE void bend(const double *width, const double *value, size_t count, size_t k, double *curvature) {
     const size_t inner = count - 2;
     std::vector<double> diagonal(inner), beside(inner);
@@ -45,7 +45,7 @@ ALWAYS_INLINE void bend(const double *width, const double *value, size_t count, 
         diagonal[i + 1] -= beside[i] * e;
     }
     double *right = curvature + k;
-    for (size_t i = 0; i < inner; ++i) {  // the right side, and pttrs forwards
+    for (size_t i = 0; i < inner; ++i) {  // the right-hand side, and pttrs forwards
         const double *at = value + i * k;
         double *row = right + i * k;
         for (size_t c = 0; c < k; ++c) row[c] = (at[2 * k + c] - at[k + c]) / width[i + 1] - (at[k + c] - at[c]) / width[i];
@@ -105,15 +105,15 @@ public:
         if (count > 2 && k) find_curvatures(width_.data(), values_.data(), count, k, curvature_.data());
     }
 
-    // At a frame: of[0] value(left) + of[1] value(left + 1) + of[2] curvature(left) + of[3] curvature(left + 1).
+    // Spline at a frame: of[0] value(left) + of[1] value(left + 1) + of[2] curvature(left) + of[3] curvature(left + 1).
     struct Weights {
         size_t left;
         double of[4];
     };
 
-    // Of two keys or more.
+    // Weights at frame t; needs two keys or more.
     Weights weights(int64_t t) {
-        if (t < key_[left_] || t >= key_[left_ + 1])  // frames mostly ascend
+        if (t < key_[left_] || t >= key_[left_ + 1])  // frames usually ascend
             left_ = std::clamp<size_t>(size_t(std::upper_bound(key_, key_ + count_, t) - key_), 1, count_ - 1) - 1;
         const double b = double(t - key_[left_]) / width_[left_], a = 1.0 - b, bend = width_[left_] * width_[left_] / 6;
         return {left_, {a, b, (a * a * a - a) * bend, (b * b * b - b) * bend}};
@@ -139,10 +139,10 @@ private:
 
 void require_ascending(const int64_t *keys, size_t count) {
     for (size_t i = 0; i + 1 < count; ++i)
-        if (keys[i + 1] <= keys[i]) throw std::invalid_argument("splines: key frames that do not ascend");
+        if (keys[i + 1] <= keys[i]) throw std::invalid_argument("splines: key frames must ascend");
 }
 
-// spline.interpolate: through values (keys, k) at ascending key frames, at frames in any order, (at, k).
+// spline.interpolate: splines through values (keys, k) at ascending key frames. at: frames in any order. Returns (at, k).
 Output<double> spline_interpolate(Input<int64_t, 1> keyframes, Input<double, 2> values, Input<int64_t, 1> at) {
     const size_t keys = keyframes.shape(0), k = values.shape(1), count = at.shape(0);
     if (keys < 2 || values.shape(0) != keys) throw std::invalid_argument("spline_interpolate: shapes differ");
@@ -153,7 +153,7 @@ Output<double> spline_interpolate(Input<int64_t, 1> keyframes, Input<double, 2> 
     return out.give({count, k});
 }
 
-constexpr size_t FRAMES = 4, PANEL = 8, BATCH = 16;  // frames and columns of a tile, frames at a time
+constexpr size_t FRAMES = 4, PANEL = 8, BATCH = 16;  // frames and columns of a tile; frames at a time
 
 // to (BATCH, columns) = mean + curves (BATCH, k) basis (k, columns).
 ALWAYS_INLINE void multiply(const double *curves, size_t k, const double *basis, const double *mean, size_t columns, double *to) {
@@ -198,7 +198,7 @@ public:
     TrackSpline(Input<int64_t, 1> by_level, Input<double, 2> values)
         : order_(by_level.shape(0)), keys_(by_level.shape(0)), k_(values.shape(1)), spline_(sorted(by_level, values)) {}
 
-    // The curves at frames [start, stop), (frames, k).
+    // Curves (frames, k) at frames [start, stop).
     Output<double> at(int64_t start, int64_t stop) {
         const size_t count = size_t(std::max<int64_t>(0, stop - start));
         Fresh<double> out(count * k_);
@@ -225,8 +225,8 @@ private:
     Spline spline_;
 };
 
-// Poses of a segment_model.PcaModel: mean (dimensions,) + spline basisᵀ, basis (dimensions, k). A spline is linear in its values:
-// where there are few, they are multiplied by the basis, not those of each frame.
+// Poses of a segment_model.PcaModel: mean (dimensions,) + spline basisᵀ, basis (dimensions, k). Splines are linear in
+// their values: if there are few keys, it multiplies the values at keys by the basis, not those at frames.
 class PoseSpline {
 public:
     PoseSpline(Input<int64_t, 1> by_level, Input<double, 2> values, Input<double, 2> basis, Input<double, 1> mean)
@@ -243,7 +243,7 @@ public:
         bends_ = products(keys, [&](size_t i) { return track_.spline().curvature(i); }, zero.data());
     }
 
-    // The frames from `start` on, placed by body_frames.h.
+    // Writes the frames from `start` on, placed by body_frames.h.
     void place(int64_t start, Input<int64_t, 1> columns, Input<double, 2> origin, Input<double, 2> heading, size_t up,
                InPlace<double, 3> positions) {
         const body_frames::World world(columns, origin, heading, up, positions);
@@ -265,7 +265,7 @@ public:
     }
 
 private:
-    // offset + row(i) basisᵀ of each key i, (keys, padded_), and rows without meaning behind.
+    // offset + row(i) basisᵀ for each key i, (keys, padded_), then unused rows.
     template <class Row>
     std::vector<double> products(size_t keys, Row row, const double *offset) const {
         std::vector<double> out((keys + BATCH - 1) / BATCH * BATCH * padded_), rows(BATCH * k_, 0.0);
@@ -291,7 +291,7 @@ Frames evenly(int64_t frames) {
     return keys;
 }
 
-// spline._halve: levels of key frames, one after another. halved(middle): whether the interval with this middle is halved.
+// spline._halve: levels of key frames, one after another. halved(middle): whether to halve the interval with this middle.
 template <class Halved>
 void halve(int64_t frames, Halved halved, Frames &by_level, Frames &sizes) {
     by_level = evenly(frames);
@@ -320,12 +320,12 @@ Output<T> array_of(const std::vector<T> &values) {
     return out.give({values.size()});
 }
 
-// spline.splits of key frames (keys) of a run of `frames` frames.
+// spline.splits of key frames (keys) in a run of `frames` frames.
 Output<uint8_t> spline_splits(Input<int64_t, 1> keys, int64_t frames) {
     if (frames < 1) throw std::invalid_argument("spline_splits: no frames");
     std::vector<uint8_t> chosen(size_t(frames), 0), splits;
     for (size_t i = 0; i < keys.shape(0); ++i) {
-        if (keys.data()[i] < 0 || keys.data()[i] >= frames) throw std::invalid_argument("spline_splits: a key frame outside");
+        if (keys.data()[i] < 0 || keys.data()[i] >= frames) throw std::invalid_argument("spline_splits: a key frame is out of range");
         chosen[size_t(keys.data()[i])] = 1;
     }
     Frames by_level, sizes;
@@ -337,7 +337,7 @@ Output<uint8_t> spline_splits(Input<int64_t, 1> keys, int64_t frames) {
     return array_of(splits);
 }
 
-// spline.keyframes of a trajectory (frames, k): frames by level, sizes of the levels.
+// spline.keyframes of a trajectory (frames, k): key frames by level, sizes of the levels.
 nb::tuple spline_keyframes(Input<double, 2> trajectory, double tolerance) {
     const int64_t frames = int64_t(trajectory.shape(0));
     const size_t k = trajectory.shape(1);
@@ -357,7 +357,7 @@ nb::tuple spline_keyframes(Input<double, 2> trajectory, double tolerance) {
         middles.clear();
         for (size_t i = 0; i + 1 < keys.size(); ++i) {
             const int64_t middle = (keys[i] + keys[i + 1]) / 2;
-            bool off = middle > keys[i] && too_far(middle);  // where the error is mostly largest
+            bool off = middle > keys[i] && too_far(middle);  // where the error is usually largest
             for (int64_t t = keys[i] + 1; !off && t < keys[i + 1]; ++t) off = too_far(t);
             if (off) middles.push_back(middle);
         }
@@ -373,7 +373,7 @@ nb::tuple spline_keyframes(Input<double, 2> trajectory, double tolerance) {
     return nb::make_tuple(array_of(by_level), array_of(sizes));
 }
 
-// spline.from_splits: frames by level, sizes of the levels, how many bits they took; none for too few bits.
+// spline.from_splits: key frames by level, sizes of the levels, number of bits read; None for too few bits.
 std::optional<nb::tuple> spline_from_splits(Input<uint8_t, 1> bits, int64_t frames) {
     if (frames < 1) throw std::invalid_argument("spline_from_splits: no frames");
     size_t used = 0;
@@ -388,19 +388,19 @@ std::optional<nb::tuple> spline_from_splits(Input<uint8_t, 1> bits, int64_t fram
     return nb::make_tuple(array_of(by_level), array_of(sizes), used);
 }
 
-// spline._descend: values (keys, k), level by level; decode(i, prediction, out) makes the values of key i.
+// spline._descend: values (keys, k), level by level; decode(i, prediction, out) computes the values of key i.
 template <class Decode>
 void descend(const Input<int64_t, 1> &by_level, const Input<int64_t, 1> &sizes, size_t k, double *values, Decode decode) {
     const size_t keys = by_level.shape(0);
     const int64_t *frames = by_level.data();
     size_t stop = 0;
-    std::vector<size_t> order(keys);  // of the key frames so far by frame
+    std::vector<size_t> order(keys);  // known key frames, sorted by frame
     Frames known(keys);
     auto sooner = [&](size_t a, size_t b) { return frames[a] < frames[b]; };
     for (size_t level = 0; level < sizes.shape(0); ++level) {
         const size_t start = stop;
         stop += size_t(std::max<int64_t>(0, sizes.data()[level]));
-        if (stop > keys) throw std::invalid_argument("splines: levels with more key frames than there are");
+        if (stop > keys) throw std::invalid_argument("splines: levels have too many key frames");
         std::iota(order.begin() + long(start), order.begin() + long(stop), start);
         if (!level) {
             const std::vector<double> zero(k, 0.0);
@@ -417,7 +417,7 @@ void descend(const Input<int64_t, 1> &by_level, const Input<int64_t, 1> &sizes, 
         }
         std::inplace_merge(order.begin(), order.begin() + long(start), order.begin() + long(stop), sooner);
     }
-    if (stop != keys) throw std::invalid_argument("splines: levels with fewer key frames than there are");
+    if (stop != keys) throw std::invalid_argument("splines: levels have too few key frames");
 }
 
 // spline.values
@@ -431,7 +431,7 @@ Output<double> spline_values(Input<int64_t, 1> by_level, Input<int64_t, 1> sizes
     return out.give({keys, k});
 }
 
-// spline.differences: integers and values; none beyond ±2^52.
+// spline.differences: integers and values; None beyond ±2^52.
 std::optional<nb::tuple> spline_differences(Input<int64_t, 1> by_level, Input<int64_t, 1> sizes, Input<double, 2> wanted, double step) {
     const size_t keys = by_level.shape(0), k = wanted.shape(1);
     if (wanted.shape(0) != keys) throw std::invalid_argument("spline_differences: shapes differ");

@@ -1,4 +1,4 @@
-// Whole streams of one state to integers in one call, for entropy/coder.py, _unpack_dense.
+// Decodes whole streams with one state in one call, for entropy/coder.py, _unpack_dense.
 //
 //   bytes ─state─► parameters ─laws from neighbours─► tokens ─raw bits─► integers ─sums─► integers (steps, lanes)
 
@@ -24,10 +24,10 @@ constexpr uint64_t TOTAL = 1u << PRECISION, MASK = TOTAL - 1, LOWEST = 1u << 16,
 constexpr size_t FIELDS = 8, OFFSETS = 8, SHAPES = 2, MIXTURES = 10, WITHOUT_HINTS = 7, NEIGHBOURS = 7;
 constexpr unsigned TOKENS = DIRECT + 4 * 59;
 
-// rans: a state, and the words that move into it.
+// rans: a state and its words.
 struct State {
     State(const uint8_t *data, size_t size) {
-        const size_t head = size <= 4 ? size : 4 - size % 2;  // words follow only a state of three or four bytes
+        const size_t head = size <= 4 ? size : 4 - size % 2;  // only a state of three or four bytes has words
         x = 0;
         for (size_t i = head; i-- > 0;) x = x << 8 | data[i];
         words = data + head, left = (size - head) / 2;
@@ -75,9 +75,9 @@ struct Laws {
         uint32_t frequency, start;
     };
 
-    static constexpr int COARSE = 6;  // the first symbol of 64 slots is looked up, the right one searched from there
+    static constexpr int COARSE = 6;  // a table gives the first symbol of 64 slots; a search finds the symbol
     size_t count, width;
-    std::vector<Symbol> symbols;  // of each law, and one behind them
+    std::vector<Symbol> symbols;  // of each law, with an extra one at the end
     std::vector<uint8_t> first;
     std::vector<int64_t> sizes;
 };
@@ -85,7 +85,7 @@ struct Laws {
 // choice.kept
 size_t kept(size_t extent, size_t symbol) { return std::max<size_t>(1, (extent * (symbol + 1) + 31) / 32); }
 
-// The tables of choice.parameter_tables, of the laws of models.family of one ladder, of models.usual_law, of MIXTURES.
+// Tables of choice.parameter_tables, laws of models.family for one ladder, models.usual_law, MIXTURES.
 class StateStreams {
 public:
     using Numbers = Input<int64_t, 1>;
@@ -97,12 +97,12 @@ public:
         std::copy_n(mixtures.data(), MIXTURES * NEIGHBOURS, &mixtures_[0][0]);
     }
 
-    // First the tables of parameters, then the laws of each shape; the last law of a shape is that of what escapes are beyond.
+    // Add first the tables of parameters, then the laws of each shape; the last law of a shape codes the excess of escapes.
     void add(Numbers frequency, Numbers start, Input<uint8_t, 1> symbol, Numbers sizes) {
         tables_.emplace_back(frequency, start, symbol, sizes);
     }
 
-    // Whether a stream has the long ladder of laws.
+    // Whether a stream uses the long ladder of laws.
     bool has_long_ladder(nb::bytes data) const {
         if (data.size() < 2) return false;
         State state(static_cast<const uint8_t *>(data.data()), data.size());
@@ -111,9 +111,9 @@ public:
         return fields[5] != 0;
     }
 
-    // Integers (steps, lanes); none for streams of the other ladder of laws, with hints, or that no encoder writes.
+    // Decodes integers (steps, lanes). None for streams with the other ladder or hints, and for damaged streams.
     std::optional<Output<int64_t>> unpack(nb::bytes data, size_t steps, size_t lanes, size_t most) const {
-        if (tables_.size() != 1 + SHAPES || tables_[0].count != FIELDS) throw std::invalid_argument("StateStreams: other tables");
+        if (tables_.size() != 1 + SHAPES || tables_[0].count != FIELDS) throw std::invalid_argument("StateStreams: wrong tables");
         const uint8_t *bytes = static_cast<const uint8_t *>(data.data());
         if (!steps || !lanes || data.size() < 2 || ((bytes[0] | bytes[1] << 8) & MASK) < MANY) return std::nullopt;
         Fresh<int64_t> out(steps * lanes);
@@ -157,7 +157,7 @@ private:
         return true;
     }
 
-    // one_state.StateDecoder.raw and coder._unpack_one: signs and mantissas from the low end of the state, the last ones first.
+    // one_state.StateDecoder.raw, coder._unpack_one: reads signs and mantissas from the low end of the state, last first.
     static bool read_values(State &state, const std::vector<uint8_t> &token, int64_t *out) {
         size_t total = 0;
         for (uint8_t t : token) {

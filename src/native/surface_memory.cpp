@@ -1,5 +1,5 @@
-// The bodies' surface from frame to frame, for codecs/bodycast/integer_surface.py and surface_memory.py, which define the
-// results. Integers only; sums wrap as in NumPy.
+// The bodies' surface over the frames of a chunk, for codecs/bodycast/integer_surface.py and surface_memory.py, which
+// define the results. Integers only; sums wrap around as in NumPy.
 
 #include <algorithm>
 #include <cstdint>
@@ -24,7 +24,7 @@ using Turns = Input<int64_t, 3>;
 uint64_t product(int64_t a, int64_t b) { return uint64_t(a) * uint64_t(b); }
 
 void require(bool good) {
-    if (!good) throw std::invalid_argument("surface_memory: shapes differ, or a row lies beyond the samples");
+    if (!good) throw std::invalid_argument("surface_memory: shapes differ, or a row beyond the samples");
 }
 
 void require_shape(const Numbers &values, size_t rows, size_t columns = 3) {
@@ -61,8 +61,8 @@ nb::tuple posed_surface(Numbers points, Numbers normals, Numbers links, Rows sha
     return nb::make_tuple(places.give({m, 3}), directions.give({m, 3}));
 }
 
-// SampleTable.canonical: of the table: canonical (t, 3); of the frame: rows (m), places (m, 3), turns (m, 3, 3); points (n, 3)
-// and samples (n).
+// SampleTable.canonical. Table: canonical (t, 3). Frame: rows (m), places (m, 3),
+// turns (m, 3, 3), points (n, 3), samples (n).
 Output<int64_t> canonical_places(Numbers canonical, Rows rows, Numbers places, Turns turns, Numbers points, Rows samples) {
     const size_t m = rows.shape(0), n = samples.shape(0);
     require_shape(canonical, canonical.shape(0));
@@ -85,7 +85,7 @@ Output<int64_t> canonical_places(Numbers canonical, Rows rows, Numbers places, T
     return out.give({n, 3});
 }
 
-// PlaceMemory.corrected: of the frame: rows (m), places and normals (m, 3); neighbours (t, k); distances and counts (t).
+// PlaceMemory.corrected. Frame: rows (m), places, normals (m, 3). Memory: neighbours (t, k), distances, counts (t).
 Output<int64_t> corrected_places(Rows rows, Numbers places, Numbers normals, Numbers neighbours, Rows distances,
                                  Rows counts) {
     const size_t m = rows.shape(0), table = distances.shape(0), around = neighbours.shape(1);
@@ -110,7 +110,7 @@ Output<int64_t> corrected_places(Rows rows, Numbers places, Numbers normals, Num
     return out.give({m, 3});
 }
 
-// PlaceMemory.learn: as above, with points (n, 3) and samples (n), negative without one. Changes distances and counts.
+// PlaceMemory.learn: updates distances and counts from points (n, 3) with samples (n), negative: none.
 void learn_places(Rows rows, Numbers places, Numbers normals, Numbers points, Rows samples, InPlace<int64_t, 1> distances,
                   InPlace<int64_t, 1> counts) {
     const size_t m = rows.shape(0), n = samples.shape(0), table = distances.shape(0);
@@ -138,8 +138,8 @@ void learn_places(Rows rows, Numbers places, Numbers normals, Numbers points, Ro
     }
 }
 
-// reference_points.explained_points: places and normals (m, 3) of a frame, points (n, 3), and the sample near each (n),
-// negative without one.
+// reference_points.explained_points. places, normals (m, 3): of a frame; points (n, 3); nearest (n): sample near each
+// point, negative: none.
 Output<uint8_t> explained_points(Numbers places, Numbers normals, Numbers points, Rows nearest) {
     const size_t m = places.shape(0), n = nearest.shape(0);
     require_shape(places, m);
@@ -163,8 +163,8 @@ Output<uint8_t> explained_points(Numbers places, Numbers normals, Numbers points
     return out.give({n});
 }
 
-// ColourMemory.learn: rows (n), places and colours (n, 3); of the memory, which changes: places (t, 3, kept), colours
-// (t, kept, 3) and points seen (t).
+// ColourMemory.learn: updates known places (t, 3, kept), shown colours (t, kept, 3) and numbers of seen points (t) with
+// rows (n), places and colours (n, 3).
 void learn_colours(Rows rows, Numbers places, Numbers colours, InPlace<int32_t, 3> known, InPlace<int32_t, 3> shown,
                    InPlace<int64_t, 1> seen) {
     const size_t n = rows.shape(0), table = seen.shape(0), kept = known.shape(2);

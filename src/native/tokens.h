@@ -1,4 +1,4 @@
-// Tokens of entropy/: the magnitudes below DIRECT, then four tokens for each octave; a token's mantissa is raw bits.
+// Tokens of entropy/: magnitudes below DIRECT, then four tokens for each octave, with the mantissa as raw bits.
 #pragma once
 
 #include <cstddef>
@@ -16,11 +16,11 @@ inline int64_t token_floor(unsigned token) {
     return token < DIRECT ? token : int64_t(4 + token % 4) << mantissa_bits(token);
 }
 
-// neighbours.mean_shift: how slowly a lane's mean follows its tokens.
+// neighbours.mean_shift: inertia of a lane's mean, as a shift.
 inline int mean_shift(int64_t step) { return step == 0 ? 1 : step < 3 ? 2 : 3; }
 
-// coder._decode_tokens: tokens (steps, lanes). w: weights of the neighbours, and of hints (steps, lanes), or null; ladder:
-// the law of each expected token; next(law): a token. False for an expected token beyond the ladder.
+// coder._decode_tokens: tokens (steps, lanes). w: weights of the neighbours and hints; hints (steps, lanes), or null;
+// ladder: law of each expected token; next(law): a token. False for an expected token beyond the ladder.
 template <class Next>
 bool decode_tokens(const int64_t *w, const uint8_t *ladder, size_t rungs, const uint8_t *hints, size_t steps, size_t lanes,
                    Next next, uint8_t *out) {
@@ -37,7 +37,7 @@ bool decode_tokens(const int64_t *w, const uint8_t *ladder, size_t rungs, const 
             const int64_t token = next(ladder[size_t(expected)]);
             row[lane + 2] = token;
             if (lane == 0) row[1] = token;
-            if (step == 0) up[lane + 3] = up2[lane + 3] = token;  // the nearest value inside the array
+            if (step == 0) up[lane + 3] = up2[lane + 3] = token;  // outside the array the nearest value counts
             mean[lane] += ((token << 8) - mean[lane]) >> shift;
             out[step * lanes + lane] = uint8_t(token);
         }

@@ -1,11 +1,11 @@
-// fields/cursor.py, Cursor.plain: many varints at once, for the index of a long file.
+// Reads many varints at once, for the index of a long file: fields/cursor.py, Cursor.plain.
 
 #include "arrays.h"
 
 namespace {
 
-// Values and ends of the first varints of `bytes`, (n,) each: at most `most`, up to the first that takes more than four
-// bytes, is badly written (a last byte of zero), or does not end.
+// Values and ends (n,) of the first varints of `bytes`: at most `most`, and only before one that takes more than four
+// bytes, has a last byte of zero, or does not end.
 nb::tuple plain_varints(Input<uint8_t, 1> bytes, size_t most) {
     const uint8_t *data = bytes.data();
     const size_t size = bytes.shape(0), room = most < size ? most : size;

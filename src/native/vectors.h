@@ -1,6 +1,6 @@
-// Four doubles at a time, and functions that exist twice: for every processor, and for those with AVX2.
+// Vectors of four doubles, and functions compiled twice: for every processor, and for AVX2.
 //
-// Both do the same operations in the same order, without fused multiply-adds, so their bits are the same.
+// Both do the same operations in the same order, without fused multiply-adds, so their bits are equal.
 #pragma once
 
 #include <cstddef>
@@ -17,7 +17,7 @@
 #if defined(__GNUC__) && defined(__x86_64__)
 #define HAS_AVX2_TWIN 1
 #define WITH_AVX2 __attribute__((target("avx2")))
-#define FLATTENED __attribute__((flatten))  // what a function calls is compiled into it, for the same processors
+#define FLATTENED __attribute__((flatten))  // inlines everything that a function calls
 inline bool processor_has_avx2() { return __builtin_cpu_supports("avx2"); }
 #endif
 
@@ -46,6 +46,6 @@ FOUR_OPERATOR(*)
 ALWAYS_INLINE void load(Four &into, const double *from) { std::memcpy(&into, from, sizeof into); }
 ALWAYS_INLINE void store(const Four &from, double *into) { std::memcpy(into, &from, sizeof from); }
 
-// Memory of doubles as fours.
+// Views memory of doubles as vectors of four.
 template <class Doubles>
 ALWAYS_INLINE Four *fours(Doubles &of) { return reinterpret_cast<Four *>(of.data()); }

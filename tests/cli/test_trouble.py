@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import io
 import json
 import os
 import signal
@@ -249,6 +250,34 @@ def test_an_option_of_another_codec_names_the_codecs_that_take_it(command: Comma
     assert "--residual is for lien2006 and bodycast; this recording is coded by tempo" in result.err
     result = command("encode", walk_trc, "-o", "x.mocz", "--codec", LOSSY, "--chunk-seconds", "1")
     assert "--chunk-seconds is for tempo and lossless" in result.err
+    result = command("encode", walk_trc, "-o", "x.mocz", "--codec", "lossless", "--max-error", "1mm")
+    assert "--max-error is for liu2006, hou2014, tempo and bodycast; this recording is coded by lossless" in result.err
+
+
+@pytest.mark.parametrize(
+    ("arguments", "code", "says"),
+    [
+        (("decode", "walk.mocz", "-o", "again.mocz"), 2, "decode does not compress again"),
+        (("cut", "walk.trc", "--from", "10f", "-o", "part.mocz"), 2, "cut does not compress walk.trc"),
+        (("info", "missing.mocz"), 3, "missing.mocz: no such file"),
+        (("view", "missing"), 3, "missing: no such file or folder"),
+        (("encode", "walk.trc", "-o", "missing/walk.mocz"), 3, "there is no folder"),
+        (("encode", "walk.trc", "-o", "x.mocz", "--size", "10"), 3, "at a size of 10"),
+        (("encode", "walk.trc", "-o", "x.mocz", "--set", "components=3"), 2, "tempo has no setting 'components'"),
+    ],
+)
+def test_slips_are_answered_with_the_way_out(
+    command: Command, walk_trc: Path, walk_mocz: Path, arguments: tuple[str, ...], code: int, says: str
+) -> None:
+    result = command(*arguments)
+    assert (result.code, says in result.err) == (code, True), result.err
+
+
+def test_a_note_on_standard_input_is_shown_once(
+    command: Command, walk_trc: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(sys, "stdin", io.TextIOWrapper(io.BytesIO(walk_trc.read_bytes())))
+    assert command("encode", "-", "-o", "x.mocz", "--format", "trc").err.count("guessed: up") == 1
 
 
 def test_info_shows_a_note_once(command: Command, walk_trc: Path) -> None:

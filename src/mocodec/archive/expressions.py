@@ -85,7 +85,10 @@ class _Translation:
 
     def column(self, name: str) -> str:
         if name not in self.columns:
-            raise BadInput(f"there is no column {name!r:.40}; the columns are: {', '.join(self.columns)}")
+            raise BadInput(
+                f"there is no column {name!r:.40} (words of a name need quotes: \"'walk' in labels\"); "
+                f"the columns are: {', '.join(self.columns)}"
+            )
         return f'"{name}"'
 
     def constant(self, value: Constant) -> str:

@@ -161,6 +161,8 @@ def message_and_code(error: Exception) -> tuple[str, int]:
             return str(error), DAMAGED
         case MocodecError():
             return str(error), BAD_INPUT
+        case FileNotFoundError(filename=str() as path):
+            return f"{path}: no such file or folder", BAD_INPUT
         case OSError():
             where = f"{error.filename}: " if error.filename else ""
             return f"{where}{error.strerror or error}", BAD_INPUT

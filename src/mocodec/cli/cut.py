@@ -59,6 +59,10 @@ def command(source: str, begin: Time, end: Time | None, output: str, chunks: boo
     compressed = files.holds_compressed(source, options["format_"])
     if chunks and not (compressed and files.is_mocz(output)):
         raise click.UsageError("--chunks works only from a .mocz file to a .mocz file")
+    if not compressed and files.is_mocz(output):
+        raise click.UsageError(
+            f"cut does not compress {source}; run `mocodec encode {source}` first, and cut its .mocz"
+        )
     if not compressed:
         with files.working(f"reading {source}"):
             recording = files.read(source, **options)

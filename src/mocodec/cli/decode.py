@@ -136,10 +136,10 @@ def suffix_of(source: str, format_: str | None) -> str:
 
 
 def refuse_other_formats(source: str, output: str) -> None:
-    """Raises a usage error that names the command that is meant: a source is no .mocz, or an output is one."""
+    """Raises a usage error for a source that is no .mocz, and for an output that is one; it names the right command."""
     if files.is_mocz(output):
         raise click.UsageError(
-            f"{output}: decode writes other formats; `mocodec cut {source} -o {output}` writes a .mocz"
+            f"{output}: decode does not compress again; copy the file, or cut it: `mocodec cut {source} -o {output}`"
         )
     if Path(source).suffix.lower() in formats.FORMATS and not files.is_url(source):
         raise click.UsageError(

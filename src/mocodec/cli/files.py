@@ -231,6 +231,7 @@ def with_notes(name: str, recording: Motion | PointClouds) -> Motion | PointClou
 
 def note(name: str, text: str) -> None:
     """Leave a note on a file for `run`, which shows each once, after the command has succeeded and unless --quiet."""
+    name = "standard input" if name == "-" else name
     context = click.get_current_context(silent=True)
     if context is not None and isinstance(context.obj, dict) and not context.params.get("quiet"):
         shown: list[str] = context.obj.setdefault("notes", [])

@@ -137,7 +137,10 @@ def setting(codec_class: Any, text: str) -> tuple[str, Any]:
     name = name.strip().replace("-", "_")
     known = {f.name: f for f in fields(codec_class)}
     if not equals or name not in known:
-        raise BadInput(f"--set {text}: write NAME=VALUE; the settings of {codec_class.name} are {', '.join(known)}")
+        problem = (
+            f"{codec_class.name} has no setting {name!r}; it has" if equals else "write NAME=VALUE, with a NAME of"
+        )
+        raise BadInput(f"--set {text}: {problem}: {', '.join(known)}")
     number, unit = split_unit(value) or (0.0, "")
     if unit in METRES:
         return name, number * METRES[unit]

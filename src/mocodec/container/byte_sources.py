@@ -98,7 +98,8 @@ class LocalFile:
             self.file: BinaryIO | None = open(self.path, "rb")  # noqa: SIM115 (open until close)
             self.size = os.fstat(self.file.fileno()).st_size
         except OSError as error:
-            raise BadInput(f"{os.fspath(path)}: {error.strerror}") from error
+            missing = isinstance(error, FileNotFoundError)
+            raise BadInput(f"{os.fspath(path)}: {'no such file' if missing else error.strerror}") from error
         except ValueError as error:  # a null character
             raise BadInput(f"{os.fspath(path)}: {error}") from error
 

@@ -90,6 +90,8 @@ def read(path: str | PathLike[str], **options: Any) -> Motion | PointClouds:
         return _read(IMAGES, path, options)
     if path.is_dir() or (path.suffix.lower() == ".ply" and any(wildcard in str(path) for wildcard in "*?[")):
         return _read(FORMATS[".ply"], path, options)
+    if not path.suffix and not path.exists():
+        raise BadInput(f"{path}: no such file or folder")
     module = _module(path)
     if not path.exists():
         raise BadInput(f"{path}: no such file")
@@ -288,7 +290,12 @@ def writing_whole(path: str | PathLike[str]) -> Generator[BinaryIO, None, None]:
         temporary = target.with_name(f".mocodec-{os.urandom(6).hex()}.part")
         descriptor = os.open(temporary, os.O_WRONLY | os.O_CREAT | os.O_EXCL | getattr(os, "O_BINARY", 0), 0o666)
     except OSError as error:
-        raise BadInput(f"{path}: cannot write here ({error.strerror})") from error
+        missing = not target.parent.exists()
+        raise BadInput(
+            f"{path}: there is no folder {target.parent}"
+            if missing
+            else f"{path}: cannot write here ({error.strerror})"
+        ) from error
     try:
         with os.fdopen(descriptor, "wb") as file:
             yield file

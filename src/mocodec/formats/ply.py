@@ -328,7 +328,7 @@ def parse_header(data: bytes, path: Path) -> Header:
         raise BadInput(f"{path}: not a PLY file")
     end = re.search(rb"(?:^|\n)end_header[ \t]*\r?\n", data[:MAX_HEADER_BYTES])
     if not end:
-        raise Truncated(f"{path}: the header does not end")
+        raise Truncated(f"{path}: the file is cut off: its header does not end")
     encoding, elements, comments = "", list[Element](), dict[str, str]()
     for line in data[: end.end()].decode("latin-1").splitlines()[1:]:
         words = line.split()

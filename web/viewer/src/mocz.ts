@@ -103,7 +103,7 @@ function readerOfFile(id: number, source: Source): CloudReader {
   return reader;
 }
 
-/** Stop the decoders of all files but the last `count`. */
+/** Stop the decoders of all files except the last `count`. */
 export function closeBefore(count: number): void {
   for (const [id, reader] of readers) {
     if (id >= opened.size - count) continue;

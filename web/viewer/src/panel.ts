@@ -34,13 +34,13 @@ export function showNumbers(target: HTMLElement, facts: Facts): { mean: HTMLElem
     add("largest", length(errors.max), bound !== undefined && errors.max > bound * 1.0001 ? "broken" : "");
   }
   const about = `${time(facts.frames / facts.rate)} · ${whole(facts.frames)} frames · ${facts.points ? `${whole(facts.points)} points · ` : ""}${Number(facts.rate.toPrecision(6))} Hz`;
-  if (!errors && !facts.original) {
+  if (facts.kind === "clouds" || (!errors && !facts.original)) { // clouds have no error of each point
     target.append(element("p", about));
     return null;
   }
   const mean = element("dd", "–");
   const max = element("dd", "–");
-  target.append(element("dt", "here, mean"), mean, element("dt", "here, largest"), max, element("p", about));
+  target.append(element("dt", "this frame, mean"), mean, element("dt", "this frame, largest"), max, element("p", about));
   return { mean, max };
 }
 

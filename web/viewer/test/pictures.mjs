@@ -10,7 +10,8 @@ const picture = (name, size, theme) => [
   { do: "open", url: pathToFileURL(page).href, size, theme },
   { do: "wait", for: "mocodecViewer.state().shownFrame >= 0" },
   { do: "press", key: "w" },
-  { do: "wait", for: "mocodecViewer.state().frame > 0 && mocodecViewer.state().shownFrame === mocodecViewer.state().frame" },
+  { do: "eval", code: "new Promise((done) => setTimeout(done, 1000))" },
+  { do: "wait", for: "mocodecViewer.state().shownFrame === mocodecViewer.state().frame" },
   { do: "eval", code: "new Promise((done) => setTimeout(done, 1000))" },
   { do: "picture", path: join(folder, name) },
 ];

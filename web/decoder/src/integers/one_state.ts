@@ -100,7 +100,7 @@ function readTokens(state: State, fields: Fields, height: number, width: number,
   const [up1, up2, left1, left2, corner, meanWeight, hintWeight] = MIXTURES[fields.mixture]! as [number, number, number, number, number, number, number];
   const tokens = new Uint8Array(height * width);
   const means = new Int32Array(width);
-  const before = new Uint8Array(width); // stands for the steps before the first: each lane's left neighbour at step 0
+  const before = new Uint8Array(width); // replaces the steps before the first: each lane's left neighbour at step 0
   for (let t = 0; t < height; t++) {
     const row = tokens.subarray(t * width, t * width + width);
     const above = t > 0 ? tokens.subarray((t - 1) * width, t * width) : before;
