@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import shutil
 from pathlib import Path
 
@@ -29,6 +30,11 @@ def test_the_stored_tables_come_from_the_stored_results(tmp_path: Path) -> None:
 def test_every_command_has_a_help_page(name: str) -> None:
     result = CliRunner().invoke(__main__.main, [name, "--help"])
     assert result.exit_code == 0, result.output
+
+
+def test_every_command_is_on_the_page_on_evaluation() -> None:
+    page = (Path(__file__).parents[2] / "docs" / "evaluation.md").read_text()
+    assert [name for name in __main__.COMMANDS if not re.search(rf"`[^`]*\b{name}\b", page)] == []
 
 
 def test_all_runs_known_commands() -> None:

@@ -1,6 +1,5 @@
 // Poses in a body's frame, for geometry/body_frame.py and codecs/liu2006.
 
-#include <limits>
 #include <stdexcept>
 
 #include "arrays.h"
@@ -43,23 +42,12 @@ Output<double> place_in_body(Input<double, 3> positions, Input<int64_t, 1> colum
     return out.give({frames, 3 * count});
 }
 
-// segment_model._nearest_marker of a pose (markers, 3): the nearest earlier marker, 0 for the first.
+// segment_model._nearest_marker of a pose (markers, 3).
 Output<int64_t> nearest_earlier(Input<int64_t, 2> pose) {
     const size_t n = pose.shape(0);
     if (pose.shape(1) != 3) throw std::invalid_argument("nearest_earlier: shapes differ");
     Fresh<int64_t> out(n);
-    for (size_t i = 0; i < n; ++i) {
-        int64_t best = std::numeric_limits<int64_t>::max();
-        out.data[i] = 0;
-        for (size_t j = 0; j < i; ++j) {
-            uint64_t square = 0;  // wraps around like NumPy's integers
-            for (size_t d = 0; d < 3; ++d) {
-                const uint64_t off = uint64_t(pose.data()[3 * i + d]) - uint64_t(pose.data()[3 * j + d]);
-                square += off * off;
-            }
-            if (int64_t(square) < best) best = int64_t(square), out.data[i] = int64_t(j);
-        }
-    }
+    for (size_t i = 0; i < n; ++i) out.data[i] = body_frames::nearest_earlier(pose.data(), i);
     return out.give({n});
 }
 

@@ -34,7 +34,7 @@ struct Tree {
 // A model's coordinates. Columns of curves: coordinates of the pose, heading, place.
 struct Shape {
     size_t points = 0, dimensions = 0, columns = 0;  // columns: of curves, a multiple of PANEL
-    std::vector<std::shared_ptr<const std::vector<double>>> bases; // basis of each band, (components, columns)
+    std::vector<std::shared_ptr<const double>> bases;  // basis of each band, (components, dimensions)
     std::vector<double> pose;                        // mean pose (points, 3), for models of positions
     std::unique_ptr<Tree> tree;                      // for models of bone directions
     std::vector<double> weights;                     // (points,), or empty
@@ -83,7 +83,8 @@ public:
     Synthesis(const Shape &shape, const Cosines &cosines, const size_t *band_ends, double step_m, double heading_step)
         : of_(shape), cosines_(cosines), band_ends_(band_ends), step_m_(step_m), heading_step_(heading_step) {}
 
-    ALWAYS_INLINE void run(const Integers &integers, const Target &out) const {
+    // Whether all positions are finite: corrections do not change it.
+    ALWAYS_INLINE bool run(const Integers &integers, const Target &out) const {
         Scratch &scratch = Scratch::of_thread();
         const size_t known = integers.coefficients.empty() ? 0 : integers.coefficients.back().frequency + 1;
         const bool divided = of_.bases.front() == of_.bases.back() &&
@@ -93,7 +94,7 @@ public:
         curves(of_columns, scratch, out);
         if (divided) add_components(known, scratch, out);
         repeat_last_frame(scratch);
-        poses(scratch, out);
+        return poses(scratch, out);
     }
 
 private:
@@ -110,7 +111,7 @@ private:
         while (at != end) {
             const size_t frequency = at->frequency;
             while (frequency >= band_ends_[band]) ++band;
-            const double *basis = of_.bases[band]->data();
+            const double *basis = of_.bases[band].get();
             std::fill_n(row, columns, 0.0);
             for (; at != end && at->frequency == frequency && at->row < POSE; ++at)
                 row[of_.dimensions + at->row] = value_of(*at);
@@ -132,10 +133,12 @@ private:
         const double *components[N];
         double values[N];
         for (int i = 0; i < N; ++i) {
-            components[i] = basis + (from[i].row - POSE) * of_.columns;
+            components[i] = basis + (from[i].row - POSE) * of_.dimensions;
             values[i] = value_of(from[i]);
         }
-        for (size_t c = 0, columns = of_.columns; c < columns; c += 4) {
+        const size_t dimensions = of_.dimensions;
+        size_t c = 0;
+        for (; c + 4 <= dimensions; c += 4) {
             Four sum, one;
             load(sum, row + c);
             for (int i = 0; i < N; ++i) {
@@ -144,6 +147,8 @@ private:
             }
             store(sum, row + c);
         }
+        for (; c < dimensions; ++c)
+            for (int i = 0; i < N; ++i) row[c] += components[i][c] * values[i];
     }
 
     // stages/dct.py, inverse: curves (frames, columns) of the frames that `poses` needs, four at a time; of all frames
@@ -191,14 +196,18 @@ private:
         component_curves(known, scratch);
         scratch.packed.resize(count * PANEL);
         double *packed = scratch.packed.data();
-        const double *basis = of_.bases.front()->data();
+        const double *basis = of_.bases.front().get();
         for (size_t panel = 0; panel < columns / PANEL; ++panel) {
+            const size_t first = panel * PANEL, dimensions = of_.dimensions;
+            const size_t inside = first < dimensions ? std::min(PANEL, dimensions - first) : 0;
             for (size_t j = 0; j < count; ++j) {
                 double *to = packed + j * PANEL;
-                if (of.rows[j] < POSE)  // heading and place have their own columns
-                    for (size_t c = 0; c < PANEL; ++c) to[c] = panel * PANEL + c == of_.dimensions + of.rows[j];
-                else
-                    std::memcpy(to, basis + (of.rows[j] - POSE) * columns + panel * PANEL, PANEL * sizeof(double));
+                if (of.rows[j] < POSE) {  // heading and place have their own columns
+                    for (size_t c = 0; c < PANEL; ++c) to[c] = first + c == dimensions + of.rows[j];
+                } else {
+                    std::copy_n(basis + (of.rows[j] - POSE) * dimensions + first, inside, to);
+                    std::fill(to + inside, to + PANEL, 0.0);
+                }
             }
             for (size_t t0 = 0; t0 < frames; t0 += TILE) {
                 if (out.first < out.last && (t0 + TILE <= out.first || t0 >= out.last + TILE)) continue;
@@ -250,11 +259,12 @@ private:
         for (size_t i = 1; i <= 3; ++i) std::memcpy(last + i * columns, last, columns * sizeof(double));
     }
 
-    ALWAYS_INLINE void poses(Scratch &scratch, const Target &out) const {
+    // Whether their sum is finite.
+    ALWAYS_INLINE bool poses(Scratch &scratch, const Target &out) const {
         const size_t columns = of_.columns, points = of_.points;
         const double share = 1 / std::sqrt(double(points));
         scratch.pose.resize(12 * points);
-        Four *pose = fours(scratch.pose);
+        Four *pose = fours(scratch.pose), sum = Four{} * 0.0;
         for (size_t first = out.first; first < out.last; first += 4) {
             const double *curves = scratch.curves.data() + first * columns;
             if (of_.tree) directions(*of_.tree, curves, scratch);
@@ -276,12 +286,13 @@ private:
                 const Four x = pose[3 * p], z = pose[3 * p + 2];
                 const Four moved[3] = {cosine * x + sine * z + place[0], pose[3 * p + 1] + place[1],
                                        cosine * z - sine * x + place[2]};
-                for (size_t k = 0; k < 3; ++k) {
-                    double *at = out.positions + ((first - out.first) * points + p) * 3 + out.axis[k];
-                    for (size_t i = 0; i < count; ++i) at[i * points * 3] = moved[k][i];
-                }
+                sum += moved[0] + moved[1] + moved[2];
+                double *to = out.positions + ((first - out.first) * points + p) * 3;
+                for (size_t k = 0; k < 3; ++k)
+                    for (size_t i = 0; i < count; ++i) to[i * points * 3 + out.axis[k]] = moved[k][i];
             }
         }
+        return std::isfinite(sum[0] + sum[1] + sum[2] + sum[3]);
     }
 
     // One column in four frames.

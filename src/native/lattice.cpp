@@ -14,19 +14,19 @@ using Table = Input<int32_t, 1>;
 #ifdef HAS_AVX2_TWIN
 // Compiles the engine and everything it calls once more, with AVX2.
 template <class Coder>
-WITH_AVX2 FLATTENED bool run_with_avx2(lattice::Chunk<Coder> &chunk) {
-    return chunk.run();
+WITH_AVX2 FLATTENED bool run_with_avx2(lattice::Chunk<Coder> &chunk, double most_bytes) {
+    return chunk.run(most_bytes);
 }
 #endif
 
 // Runs the engine. Returns whether it coded the chunk, or the stream was consistent.
 template <class Coder>
-bool run(lattice::Chunk<Coder> &chunk) {
+bool run(lattice::Chunk<Coder> &chunk, double most_bytes = HUGE_VAL) {
 #ifdef HAS_AVX2_TWIN
     static const bool has_avx2 = processor_has_avx2();
-    if (has_avx2) return run_with_avx2(chunk);
+    if (has_avx2) return run_with_avx2(chunk, most_bytes);
 #endif
-    return chunk.run();
+    return chunk.run(most_bytes);
 }
 
 bits::Tables tables_of(const Table &squash, const Table &stretch, const Table &rate, const Table &cost) {
@@ -62,10 +62,11 @@ Output<double> give(const std::vector<lattice::Vec> &values, const lattice::Layo
     return out.give({of.points, of.frames, 3});
 }
 
-// The stream and its decoded samples (points, frames, 3); an empty stream and no samples if a sample is too large.
+// The stream and its decoded samples (points, frames, 3); its estimated length alone if that clearly exceeds `most_bytes`;
+// None if a sample is too large.
 nb::object tempo_lattice_encode(Input<double, 3> wanted, Input<uint8_t, 2> missing, Table sequence,
-                                Input<int32_t, 2> neighbours, int stride_log, Table squash, Table stretch, Table rate,
-                                Table cost) {
+                                Input<int32_t, 2> neighbours, int stride_log, double most_bytes, Table squash,
+                                Table stretch, Table rate, Table cost) {
     const lattice::Layout of = layout_of(missing, sequence, neighbours, stride_log);
     if (wanted.shape(0) != of.points || wanted.shape(1) != of.frames || wanted.shape(2) != 3)
         throw std::invalid_argument("lattice: shapes differ");
@@ -73,14 +74,17 @@ nb::object tempo_lattice_encode(Input<double, 3> wanted, Input<uint8_t, 2> missi
     std::vector<uint8_t> stream;
     std::vector<lattice::Vec> decoded;
     bool coded;
+    size_t expected_bytes;
     {
         nb::gil_scoped_release release;
         bits::Encoder encoder;
         lattice::Chunk<bits::Encoder> chunk(of, tables, encoder, wanted.data());
-        coded = run(chunk);
+        coded = run(chunk, most_bytes);
+        expected_bytes = chunk.expected_bytes;
         stream = encoder.finish();
         decoded = std::move(chunk.decoded);
     }
+    if (expected_bytes) return nb::int_(expected_bytes);
     if (!coded) return nb::none();
     return nb::make_tuple(nb::bytes(reinterpret_cast<const char *>(stream.data()), stream.size()), give(decoded, of));
 }

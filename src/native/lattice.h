@@ -26,6 +26,9 @@ constexpr double LIMIT = 1099511627776.0;  // 2^40: larger predictions and resid
 constexpr double WIDE = 12;                // residuals with a larger coordinate are not optimised
 constexpr int LARGEST_STRIDE_LOG = 6;
 constexpr int EDGE = 7;                    // level of samples without both neighbours in time
+// An encoder stops once the first points, a share s of all, take over (CLEARLY · s + OF_FIRST_POINTS) · most_bytes: the very
+// first points take up to half more bytes than others.
+constexpr double CLEARLY = 1.25, OF_FIRST_POINTS = 0.05;
 
 struct Layout {
     size_t frames, points;
@@ -51,12 +54,23 @@ public:
         }
     }
 
-    // Codes the chunk. Returns whether the stream was consistent.
-    bool run() {
-        for (size_t i = 0; i < of.points; ++i)
+    // Codes the chunk. A decoder returns whether the stream was consistent; an encoder, whether it coded all samples: it stops
+    // if the first points show that the stream would clearly be longer than `most_bytes`.
+    bool run(double most_bytes = HUGE_VAL) {
+        for (size_t i = 0; i < of.points; ++i) {
             if (!point(size_t(of.sequence[i]), i == 0)) return false;
+            if constexpr (ENCODES) {
+                const double share = double(i + 1) / double(of.points), bytes = double(coder_.size());
+                if (bytes > most_bytes * (CLEARLY * share + OF_FIRST_POINTS)) {
+                    expected_bytes = size_t(bytes / share);
+                    return false;
+                }
+            }
+        }
         return true;
     }
+
+    size_t expected_bytes = 0;  // estimated length of the stream if the encoder stopped; otherwise 0
 
 private:
     const Layout of;

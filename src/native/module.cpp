@@ -1,7 +1,7 @@
 // mocodec._native: loops that NumPy cannot vectorise. One file for each user in the package:
 //
 //   entropy.cpp     packed bits and the coder with one state, for entropy/
-//   state_stream.cpp      short arrays of integers in one call, for entropy/coder.py
+//   state_stream.cpp      short arrays of integers in one call, for entropy/coder.py; state_streams.h decodes them
 //   bulk.cpp        long arrays of integers, for entropy/bulk.py; bulk_layout.h has contexts and places
 //   coefficients.cpp      contexts, quantisation and rANS lanes, for codecs/tempo/coding
 //   bone_directions.cpp   directions of bones, for codecs/tempo/pose/bone_directions.py
@@ -25,13 +25,15 @@
 //   signals.cpp     residuals and linear prediction, for signals/ (signal_lanes.h, signal_prediction.h); signal_fitting.cpp
 //                   chooses the predictors (signal_least_squares.h); signal_forms.cpp turns values into integers;
 //                   signal_chunks.cpp decodes whole chunks (signal_records.h: bytes, signal_values.h: integers to values)
-//   householder.cpp orthonormal bases stored as reflections, for stages/basis.py
+//   householder.cpp orthonormal bases stored as reflections, for stages/basis.py; householder.h makes the basis
 //   ordered.cpp     linear algebra in a fixed order of operations, for codecs/tempo/models/ordered.py
+//   marker_fitting.cpp    bones that markers sit on, for codecs/tempo/models/marker_fitting.py
 //   clip_synthesis.cpp    positions of clips from integers, for codecs/hou2014/stream.py; cosine_series.h is the DCT
 //   clip_quantiser.cpp    integers of coefficients, for codecs/hou2014/quantised_motion.py
 //   clip_lengths.cpp      the best length of clips, for codecs/hou2014/clip_segmentation.py
 //   bounded.cpp     corrections that stay valid for many frames, for stages/bounded.py
-//   splines.cpp     natural cubic splines and key frames, for stages/spline.py
+//   splines.cpp     natural cubic splines and key frames, for stages/spline.py; splines.h has the splines
+//   motion_segments.cpp   segments from bytes to positions, for codecs/liu2006/decoding.py
 //   ppca.cpp        segmentation by probabilistic PCA, for stages/segment.py
 //   body_frames.cpp       poses to positions, for codecs/liu2006
 //   positions.cpp   one pass over positions, for codecs/tempo and metrics/motion.py
@@ -59,9 +61,9 @@ namespace nb = nanobind;
     PART(varints) PART(chunk_codec) PART(bulk) PART(bone_coordinates) PART(point_octree) PART(cube_octree)                 \
     PART(point_colours) PART(clustered_icp) PART(surface_memory) PART(splines) PART(householder)           \
     PART(point_smoothing) PART(positions) PART(link_surfaces) PART(state_stream) PART(body_frames) \
-    PART(ordered) PART(lattice_neighbours)         \
+    PART(ordered) PART(lattice_neighbours) PART(marker_fitting)         \
     PART(reference_surface) PART(ppca) PART(point_choice) PART(lattice_frames) PART(clip_synthesis) PART(clip_lengths) PART(clip_quantiser) \
-    PART(bounded)
+    PART(motion_segments) PART(bounded)
 
 #define DECLARE(name) void bind_##name(nb::module_ &);
 PARTS(DECLARE)

@@ -6,6 +6,7 @@
 #include <vector>
 
 #include "arrays.h"
+#include "cursor.h"
 #include "signal_values.h"
 
 namespace signals {
@@ -16,51 +17,9 @@ constexpr size_t MAX_ORDER = 32, MAX_REFERENCES = 16, REFERENCE_TAPS = 3;
 constexpr int MAX_SHIFT = 48;
 constexpr int64_t MAX_INTEGER = int64_t(1) << 29, MAX_TAP = int64_t(1) << 52;
 
-struct Damaged {};  // exception for damaged bytes
-
-inline void require(bool is_right) {
-    if (!is_right) throw Damaged{};
-}
-
-// fields.Cursor
-struct Reader {
-    const uint8_t *at, *end;
-
-    size_t left() const { return size_t(end - at); }
-
-    const uint8_t *take(size_t count) {
-        require(count <= left());
-        at += count;
-        return at - count;
-    }
-
-    int byte() { return *take(1); }
-
-    uint64_t varint() {
-        uint64_t number = 0;
-        for (int shift = 0; shift < 63; shift += 7) {
-            const int byte = this->byte();
-            number |= uint64_t(byte & 127) << shift;
-            if (byte < 128) {
-                require(byte || !shift);
-                return number;
-            }
-        }
-        throw Damaged{};
-    }
-
-    int64_t folded() {
-        const uint64_t number = varint();
-        return number & 1 ? -int64_t((number + 1) >> 1) : int64_t(number >> 1);
-    }
-
-    Reader blob() {
-        const uint64_t size = varint();
-        require(size <= left());
-        const uint8_t *first = take(size_t(size));
-        return {first, first + size};
-    }
-};
+using fields::Damaged;
+using fields::Reader;
+using fields::require;
 
 struct Lane {
     int start;

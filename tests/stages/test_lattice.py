@@ -187,7 +187,23 @@ def test_shorter_strides_suit_samples_of_many_bits() -> None:
     positions = positions + np.random.default_rng(1).normal(0, 0.002, positions.shape)
     known, missing = lattice.neighbours(positions), np.zeros(positions.shape[:2], bool)
     wanted = positions / lattice.half_step(0.0001)
-    stride, size = lattice.best_stride([wanted], [missing], known)
+    stride, size = lattice.best_stride(wanted, missing, known)
     sizes = [len((lattice.encode(wanted, missing, known, each) or (b"", 0))[0]) for each in lattice.STRIDES]
     assert stride < lattice.USUAL_STRIDE
     assert size == min(sizes)
+
+
+@needs_module
+def test_an_encoder_gives_up_where_the_first_points_take_too_many_bytes() -> None:
+    positions = synthetic.markers(frames=240, seed=1).positions
+    known, missing = lattice.neighbours(positions), np.zeros(positions.shape[:2], bool)
+    wanted = positions / lattice.half_step(0.001)
+    whole = lattice.encode(wanted, missing, known, 2)
+    assert whole is not None
+    size = len(whole[0])
+    given_up = lattice.encode_up_to(size / 2, wanted, missing, known, 2)
+    assert isinstance(given_up, lattice.GivenUp)
+    assert 0.5 * size < given_up.bytes < 2 * size
+    finished = lattice.encode_up_to(size, wanted, missing, known, 2)
+    assert isinstance(finished, tuple)
+    assert finished[0] == whole[0]

@@ -26,6 +26,19 @@ from .quantities import setting
 TABLE = ("name", "frames", "rate", "points", "seconds", "bytes", "ratio", "mean_error", "max_error", "labels")
 MAX_FAILURES = 20
 """Failed sources that a summary lists, at most."""
+WORKER_OPTIONS = (
+    click.option(
+        "-j",
+        "--jobs",
+        "--workers",
+        type=click.IntRange(0),
+        default=1,
+        metavar="N",
+        help="Work in N processes; 0: one per core; default: 1.",
+    ),
+    click.option("--dask", metavar="ADDRESS", help="Work on a Dask cluster, whose machines see the same files."),
+)
+"""Where the work is done: options of commands that build or learn."""
 
 
 class Archives(click.Group):
@@ -74,16 +87,7 @@ def build_options(function: Callable[..., Any]) -> Callable[..., Any]:
         ),
         click.option("--bare", is_flag=True, help="Leave out analog channels, events and parameters."),
         click.option("--no-rotations", is_flag=True, help="Keep the positions of joints, and not their rotations."),
-        click.option(
-            "-j",
-            "--jobs",
-            "--workers",
-            type=click.IntRange(0),
-            default=1,
-            metavar="N",
-            help="Work in N processes; 0: one per core; default: 1.",
-        ),
-        click.option("--dask", metavar="ADDRESS", help="Work on a Dask cluster, whose machines see the same files."),
+        *WORKER_OPTIONS,
         click.option(
             "--prior", metavar="FILE", help="A prior of your own, by `mocodec prior train`; the archive keeps a copy."
         ),

@@ -10,6 +10,7 @@ import click
 
 from .. import archive, formats
 from . import files, quantities
+from .archive import WORKER_OPTIONS
 
 
 @click.group("prior")
@@ -27,16 +28,8 @@ def command() -> None:
     metavar="N",
     help="Learn from about N frames, spread over the archive; default: all.",
 )
-@click.option(
-    "-j",
-    "--jobs",
-    "--workers",
-    type=click.IntRange(0),
-    default=1,
-    metavar="N",
-    help="Work in N processes; 0: one per core.",
-)
-@click.option("--dask", metavar="ADDRESS", help="Work on a Dask cluster, whose machines see the same files.")
+@WORKER_OPTIONS[0]
+@WORKER_OPTIONS[1]
 @click.option("-q", "--quiet", is_flag=True, help="Print nothing but errors.")
 def train(
     db: str, output: str, condition: str | None, frames: int | None, jobs: int, dask: str | None, quiet: bool

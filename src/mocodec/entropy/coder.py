@@ -190,6 +190,12 @@ def _state_streams(kernel: Callable[..., Any], long_ladder: bool) -> Any:
     return streams
 
 
+def compiled_streams() -> tuple[Any, Any] | None:
+    """The compiled decoders of short arrays, of the usual and of the long ladder of laws; None without the module."""
+    kernel = native.kernel("StateStreams")
+    return None if kernel is None else (_state_streams(kernel, False), _state_streams(kernel, True))
+
+
 def _unpack_dense(data: bytes, shape: tuple[int, int], contexts: AnyInteger | None) -> Integers:
     if (kernel := native.kernel("StateStreams")) is not None and not _is_bulk(data):
         streams = _state_streams(kernel, False)

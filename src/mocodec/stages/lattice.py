@@ -16,9 +16,9 @@ markers are noisy and the bound is fine.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -183,6 +183,12 @@ def _tree(near: Integers, rigidity: Floats, points: int) -> tuple[Integers, Inte
     return np.array(order), partner
 
 
+class GivenUp(NamedTuple):
+    """About the bytes of a stream that was not finished."""
+
+    bytes: int
+
+
 def encode(
     samples: Floats, missing: Booleans, known: Neighbours, stride: int, spiked: Floats | None = None
 ) -> tuple[bytes, Floats] | None:
@@ -191,13 +197,29 @@ def encode(
     stride: log₂ of the distance between the first frames. spiked: the samples with the spikes that were taken out of
     them. None where samples are too large.
     """
+    found = encode_up_to(np.inf, samples, missing, known, stride, spiked)
+    assert not isinstance(found, GivenUp)
+    return found
+
+
+def encode_up_to(
+    most_bytes: float,
+    samples: Floats,
+    missing: Booleans,
+    known: Neighbours,
+    stride: int,
+    spiked: Floats | None = None,
+) -> tuple[bytes, Floats] | GivenUp | None:
+    """`encode`, unless the first points show that the stream would clearly be longer than `most_bytes`."""
     wanted = np.ascontiguousarray(samples.swapaxes(0, 1))
     where = np.ascontiguousarray(missing, np.uint8)
     sequence = known.sequence
     if (kernel := native.kernel("tempo_lattice_encode")) is not None:
-        found = kernel(wanted, where, sequence, known.table, stride, *adaptive_bits.tables())
+        found = kernel(wanted, where, sequence, known.table, stride, most_bytes, *adaptive_bits.tables())
     else:
         found = lattice_chunk.encode(wanted, where, sequence, known.table, stride)
+    if isinstance(found, int):
+        return GivenUp(found)
     if found is None:
         return None
     stream, decoded = found[0], np.ascontiguousarray(found[1].swapaxes(0, 1), np.float64)
@@ -286,18 +308,20 @@ def _add_spikes(samples: Floats, data: bytes) -> None:
     np.add.at(flat, numbers, listed[:, 1:])
 
 
-def best_stride(samples: Sequence[Floats], missing: Sequence[Booleans], known: Neighbours) -> tuple[int, int]:
-    """The stride that makes these chunks smallest, and their bytes: longer ones are tried, then shorter ones; shorter
-    ones first where samples take many bits."""
+def best_stride(samples: Floats, missing: Booleans, known: Neighbours, most_bytes: float = np.inf) -> tuple[int, int]:
+    """The stride that makes a chunk smallest, and its bytes, an estimate where they clearly exceed `most_bytes`.
+
+    Longer ones are tried, then shorter ones; shorter ones first where samples take many bits.
+    """
     sizes: dict[int, int] = {}
 
     def size(stride: int) -> int:
-        streams = [encode(s, m, known, stride) for s, m in zip(samples, missing, strict=True)]
-        sizes[stride] = sum(len(found[0]) if found is not None else 1 << 40 for found in streams)
+        found = encode_up_to(most_bytes, samples, missing, known, stride)
+        sizes[stride] = 1 << 40 if found is None else found.bytes if isinstance(found, GivenUp) else len(found[0])
         return sizes[stride]
 
     best = USUAL_STRIDE
-    takes_many = 8 * size(best) > LEAST_BITS_OF_SHORT * sum(s.shape[0] * s.shape[1] for s in samples)
+    takes_many = 8 * size(best) > LEAST_BITS_OF_SHORT * samples.shape[0] * samples.shape[1]
     for step in (-1, 1) if takes_many else (1, -1):
         while best + step in STRIDES and best + step not in sizes and size(best + step) < sizes[best]:
             best += step

@@ -72,10 +72,11 @@ def test_the_lattice_has_to_save_some_bytes(share: float, engine: int, monkeypat
     found = chunk.ChunkEncoder.on_lattice
 
     def of_this_size(
-        encoder: chunk.ChunkEncoder, bound: float, neighbours: lattice.Neighbours, stride: int
-    ) -> chunk.OnLattice | None:
+        encoder: chunk.ChunkEncoder, bound: float, neighbours: lattice.Neighbours, stride: int, _: float
+    ) -> chunk.OnLattice:
         coded = found(encoder, bound, neighbours, stride)
-        return coded and coded._replace(payload=coded.payload[:1].ljust(round(share * size), b" "))
+        assert isinstance(coded, chunk.OnLattice)
+        return coded._replace(payload=coded.payload[:1].ljust(round(share * size), b" "))
 
     monkeypatch.setattr(chunk.ChunkEncoder, "on_lattice", of_this_size)
     monkeypatch.setattr(chunk.ChunkEncoder, "keeps", lambda *_: True)
@@ -107,7 +108,7 @@ def test_the_lattice_is_not_tried_where_joints_take_few_bits(monkeypatch: pytest
 def test_an_estimate_rules_the_lattice_out(estimate: float, tried: int, monkeypatch: pytest.MonkeyPatch) -> None:
     coded, found = [], chunk.ChunkEncoder.on_lattice
 
-    def on_lattice(*arguments: Any) -> chunk.OnLattice | None:
+    def on_lattice(*arguments: Any) -> Any:
         coded.append(arguments)
         return found(*arguments)
 

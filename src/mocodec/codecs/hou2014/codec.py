@@ -83,17 +83,23 @@ class Hou2014(Settings):
         return encoded
 
     def prepared(
-        self, motion: Motion, smooth: Floats, by_engine: bool = False, apart: frozen.Split | None = None
+        self,
+        motion: Motion,
+        smooth: Floats,
+        by_engine: bool = False,
+        apart: frozen.Split | None = None,
+        fitted_hz: float | None = None,
     ) -> MotionEncoder:
         """For encoding by a transform that codes `smooth` in place of the motion's positions. Raises as `encode`.
 
         smooth (frames, points, 3): the positions with gaps filled. With `max_error`, outliers of single frames may be
         smoothed too, since corrections restore them. by_engine: the lattice engine may code corrections. apart: `split`
-        of the motion, if it is known.
+        of the motion, if it is known. fitted_hz: see `MotionEncoder`.
         """
         base.require_frames(motion)
         self.check(motion)
-        return MotionEncoder(self, motion, smooth, self.split(motion) if apart is None else apart, by_engine)
+        apart = self.split(motion) if apart is None else apart
+        return MotionEncoder(self, motion, smooth, apart, by_engine, fitted_hz)
 
     @staticmethod
     def decode(encoded: Encoded[Motion], frames: slice | None = None) -> Motion:

@@ -47,24 +47,31 @@ COARSE_PROMISING = 1.1
 class MotionEncoder:
     """One motion, prepared for encoding at any quantisation step that a search tries.
 
-    quantised(rung), encoded(rung): the motion at this step; cached.
+    quantised(rung), encoded(rung): the motion at this step; cached. fitted_hz: B is fitted to frequencies below it,
+    which is faster and enough for `estimate`; None for all frequencies.
     """
 
     def __init__(
-        self, codec: Settings, motion: Motion, filled: Floats, apart: frozen.Split, by_engine: bool = False
+        self,
+        codec: Settings,
+        motion: Motion,
+        filled: Floats,
+        apart: frozen.Split,
+        by_engine: bool = False,
+        fitted_hz: float | None = None,
     ) -> None:
         self.codec, self.motion, self.apart = codec, motion, apart
         self.moving = self.apart.moving
         self.parents = None if motion.skeleton is None else motion.skeleton.parents
         self.chunk_frames = min(codec.chunk_frames, most_chunk_frames(motion.points))
         self.neighbours = lattice.neighbours(filled) if by_engine and codec.max_error and lattice.is_fast() else None
-        self.prepared = self._prepare(filled)
+        self.prepared = self._prepare(filled, fitted_hz)
         self.quantised: Callable[[int], QuantisedMotion] = lru_cache(1)(
             lambda rung: quantised_motion.quantise_motion(self.prepared, rung)
         )
         self.encoded: Callable[[int], Encoded[Motion]] = cache(self._encode)
 
-    def _prepare(self, filled: Floats) -> PreparedMotion:
+    def _prepare(self, filled: Floats, fitted_hz: float | None) -> PreparedMotion:
         """Segment into clips, choose each clip's step and frequencies, fit B."""
         codec, motion = self.codec, self.motion
         length = codec.clip_frames or (len(motion) if codec.has_target else parameters.CLIP_FRAMES)
@@ -86,6 +93,7 @@ class MotionEncoder:
             compress_basis=codec.compress_basis,
             economy=codec.economy,
             max_error=codec.max_error,
+            fitted_frequencies=None if fitted_hz is None else math.ceil(2 * len(motion) * fitted_hz / motion.rate),
             learned=_unpack_learned(codec.transforms, motion.points),
         )
         if codec.segmentation == "adaptive" or (codec.has_target and not codec.clip_frames):

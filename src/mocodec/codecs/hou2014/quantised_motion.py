@@ -72,7 +72,8 @@ class PreparedMotion:
     rows: Mᵀ, with the weights of `weight_rungs`. lengths (N,): L_i. clip_frames: L; 0 if clips are adaptive.
     rung_offsets (N,): rungs to add to the common quantisation step of each clip. frequencies (N,): l_i at most; None
     for no limit. components: k at most; None for as many as reduce the cost. fitted: B of these rows; None if `learned`
-    holds left transforms from a database. The other fields are those of `Hou2014` and `SharedHeader`.
+    holds left transforms from a database. fitted_frequencies: where there is no limit, B is fitted to so many of the
+    lowest frequencies of the whole motion; None for all. The other fields are those of `Hou2014` and `SharedHeader`.
     """
 
     points: int
@@ -89,6 +90,7 @@ class PreparedMotion:
     economy: float = 0.0
     max_error: float | None = None
     fitted: LeftTransform | None = None
+    fitted_frequencies: int | None = None
     learned: tuple[LeftTransform, ...] = ()
 
     @cached_property
@@ -131,7 +133,8 @@ def with_fitted_transform(motion: PreparedMotion) -> PreparedMotion:
         return motion
     rows = motion.rows.centred if motion.centre else motion.rows.weighted(motion.rows.positions)
     if motion.frequencies is None:
-        return replace(motion, fitted=left_transform.fit_rows(rows))
+        lowest = rows if motion.fitted_frequencies is None else dct.forward(rows, motion.fitted_frequencies)
+        return replace(motion, fitted=left_transform.fit_rows(lowest))
     spectra: list[Floats] = []
     for length, run, frames in _clip_runs(motion.lengths):
         count = int(motion.frequencies[run.start])

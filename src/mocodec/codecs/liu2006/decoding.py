@@ -7,16 +7,17 @@ from __future__ import annotations
 
 import struct
 from collections.abc import Callable, Iterator, Sequence
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from ... import encoded as encodeds
-from ... import progress
+from ... import native, progress
 from ...encoded import Chunk, Encoded
-from ...entropy import varint
+from ...entropy import coder, varint
 from ...errors import Corrupt
 from ...geometry import body_frame
-from ...motion import Motion
+from ...motion import UP_AXES, Motion
 from ...stages import bounded, frozen
 from ...typing import Floats, Integers
 from .. import base
@@ -31,23 +32,62 @@ def decode(encoded: Encoded[Motion], frames: slice | None = None) -> Motion:
         return base.decode_gaps(encoded, frames)
     start, stop = encoded.range(frames)
     blend_frames, markers, max_error = read_shared(encoded)
-    models, packed_gaps, residuals = read_segments(encoded.covering(start, stop), markers)
     up = encoded.about.up
+    chunks = encoded.covering(start, stop)
+    segments = _read_compiled(chunks, markers, up, blend_frames) or _read(chunks, markers, up, blend_frames)
     positions = np.empty((stop - start, markers.points, 3))
-    for model, packed, residual in progress.over(list(zip(models, packed_gaps, residuals, strict=True))):
-        first, last = max(model.start, start), min(model.stop, stop)
+    for chunk, packed, residual in progress.over(
+        list(zip(chunks, segments.packed_gaps, segments.residuals, strict=True))
+    ):
+        first, last = max(chunk.start, start), min(chunk.stop, stop)
         if first >= last:
             continue
         out = positions[first - start : last - start]
         if not residual and not packed:
-            reconstruct(models, markers, up, first, last, blend_frames, out)
+            segments.place(first, last, out)
             continue
         # Gaps and residual unpack only as a whole segment.
-        decoded = reconstruct(models, markers, up, model.start, model.stop, blend_frames)
+        decoded = np.empty((chunk.frames, markers.points, 3))
+        segments.place(chunk.start, chunk.stop, decoded)
         if residual:
             decoded = bounded.unpack(residual, decoded, max_error, packed)
-        out[...] = frozen.restore(decoded, packed)[first - model.start : last - model.start]
+        out[...] = frozen.restore(decoded, packed)[first - chunk.start : last - chunk.start]
     return encodeds.restore(encoded, positions, start)
+
+
+class _Segments(NamedTuple):
+    """place(first, last, positions): decodes frames [first, last) into positions (frames, points, 3), without gaps and
+    residuals. packed_gaps, residuals: bytes of each chunk."""
+
+    place: Callable[[int, int, Floats], Any]
+    packed_gaps: list[bytes]
+    residuals: list[bytes]
+
+
+def _read_compiled(chunks: Sequence[Chunk], markers: MarkerGroups, up: str, blend_frames: int) -> _Segments | None:
+    """None without the compiled module, and for bytes that no encoder writes: `_read` then raises the error.
+
+    Raises Corrupt.
+    """
+    kernel, streams = native.kernel("MotionSegments"), coder.compiled_streams()
+    if kernel is None or streams is None:
+        return None
+    columns = markers.normalisation, markers.pca_groups
+    segments = kernel(*streams, coder.unpack, *columns, markers.points, UP_AXES.index(up), blend_frames)
+    parts = [segments.read(chunk.payload, chunk.start, chunk.stop) for chunk in chunks]
+    if None in parts:
+        return None
+    return _Segments(segments.place, [packed for packed, _ in parts], [residual for _, residual in parts])
+
+
+def _read(chunks: Sequence[Chunk], markers: MarkerGroups, up: str, blend_frames: int) -> _Segments:
+    """`_read_compiled` without the compiled module. Raises Corrupt."""
+    models, packed_gaps, residuals = read_segments(chunks, markers)
+
+    def place(first: int, last: int, out: Floats) -> None:
+        reconstruct(models, markers, up, first, last, blend_frames, out)
+
+    return _Segments(place, packed_gaps, residuals)
 
 
 def reconstruct(

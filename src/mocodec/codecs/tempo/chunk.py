@@ -24,6 +24,7 @@ from ... import native, parallel
 from ...entropy import varint
 from ...errors import CannotEncode, Corrupt
 from ...stages import frozen, lattice
+from ...stages.lattice import GivenUp
 from ...typing import Booleans, Floats, Integers
 from .. import rescue
 from . import compiled_chunks, trial
@@ -130,6 +131,10 @@ class OnLattice(NamedTuple):
 
     payload: bytes
     positions: Floats
+
+    @property
+    def bytes(self) -> int:
+        return len(self.payload)
 
 
 class ChunkEncoder:
@@ -271,15 +276,18 @@ class ChunkEncoder:
             return payload
         return min(self.directly(grid_step(cell)), payload, key=len)
 
-    def on_lattice(self, bound: float, neighbours: lattice.Neighbours, stride: int) -> OnLattice | None:
-        """By the lattice engine within the bound (metres), None where samples are too large for it."""
+    def on_lattice(
+        self, bound: float, neighbours: lattice.Neighbours, stride: int, most_bytes: float = np.inf
+    ) -> OnLattice | GivenUp | None:
+        """By the lattice engine within the bound (metres), unless it would clearly take more than `most_bytes`; None
+        where samples are too large for it."""
         step = grid_step(lattice.half_step(bound))
         samples = self._weighted() / grid_size(step)
         without = self._weighted(self.smooth) / grid_size(step) if self.spikes.any() else samples
         spiked = None if without is samples else samples
-        found = lattice.encode(without, self.gap_mask, neighbours, stride, spiked)
-        if found is None:
-            return None
+        found = lattice.encode_up_to(most_bytes, without, self.gap_mask, neighbours, stride, spiked)
+        if found is None or isinstance(found, GivenUp):
+            return found
         positions = in_metres(self.model, found[1], grid_size(step))
         return OnLattice(Payload(LATTICE, found[0], step, self.gaps).pack(), frozen.restore(positions, self.gaps))
 

@@ -106,24 +106,27 @@ def plan(
     first = max(0, (len(motion) - frames) // 2)
     some = slice(first, min(len(motion), first + frames))
 
-    @cache
-    def chosen() -> tuple[lattice.Neighbours, int, int]:
+    def sampled_on_lattice(most_bytes: float = np.inf) -> tuple[lattice.Neighbours, int, int]:
         found = lattice.neighbours(source.smooth)
         positions = source.smooth[some] if weights is None else source.smooth[some] * weights[:, None]
         size = grid_size(grid_step(lattice.half_step(bound)))
-        return found, *lattice.best_stride([positions / size], [source.apart.apart[some]], found)
+        return found, *lattice.best_stride(positions / size, source.apart.apart[some], found, most_bytes)
+
+    @cache
+    def chosen() -> tuple[lattice.Neighbours, int]:
+        return sampled_on_lattice()[:2]
 
     if alone:
-        return LatticePlan(lambda: chosen()[:2], alone=True)
+        return LatticePlan(chosen, alone=True)
     if named or weights is not None or motion.skeleton is not None:
-        return LatticePlan(lambda: chosen()[:2], least_bits=LEAST_BITS if weights is None else 0.0)
+        return LatticePlan(chosen, least_bits=LEAST_BITS if weights is None else 0.0)
     if directions.form_a_tree(source.smooth[some], step + WIDER):
-        return LatticePlan(lambda: chosen()[:2], least_bits=LEAST_BITS, rivals=True)
-    found, stride, cost = chosen()
+        return LatticePlan(chosen, least_bits=LEAST_BITS, rivals=True)
     transform = _transform_bytes(motion, source, some, bound, step)
     sampled = some.stop - some.start
     rise = ALONE_PER_OCTAVE * np.log2(len(motion) / sampled)
     limit = ALONE + rise if motion.points <= MANY_POINTS else min(ALONE + rise, 1.0)
+    found, stride, cost = sampled_on_lattice(limit * transform)
     alone = bool(cost < limit * transform)
     certain = sampled >= FEWEST_FRAMES and bool(cost < (CERTAIN + rise) * transform)
     certain = certain or (alone and motion.points > MANY_POINTS)
@@ -161,9 +164,9 @@ def may_be_smaller_alone(
     start, stop = bounds[len(bounds) // 2]
     like = encoded.about
     encoder = ChunkEncoder.of(Model.without_rows(like.names, like.rate), source, slice(start, stop))
-    found = encoder.on_lattice(bound, plan.neighbours, plan.stride)
-    share = (stop - start) / len(source.positions)
-    return found is not None and len(found.payload) < (1 - LEAST_SAVING) * share * encoded.payload_bytes
+    most_bytes = (1 - LEAST_SAVING) * (stop - start) / len(source.positions) * encoded.payload_bytes
+    found = encoder.on_lattice(bound, plan.neighbours, plan.stride, most_bytes)
+    return found is not None and found.bytes < most_bytes
 
 
 class EngineTrials:

@@ -51,6 +51,14 @@ PROMISING, PROMISING_BYTES = 1.06, 256
 """A first coding of at most PROMISING times tempo's bytes, plus PROMISING_BYTES, may still be smaller at its best step:
 most bytes of still recordings are the basis, which a coarser step makes much smaller."""
 
+SKETCH_HZ, SKETCH_SHARE = 15.0, 0.5
+"""Before the first coding of many points there is a sketch, with a basis fitted to frequencies below SKETCH_HZ only,
+since people hardly move faster, where these are at most SKETCH_SHARE of all."""
+
+SKETCH_EXCEEDS, SKETCH_EXCEEDS_PER_SHARE = 1.01, 0.3
+"""The sketch takes up to SKETCH_EXCEEDS times the bytes of the first coding, and more by the second for components that
+are as many as its frequencies: then there are components of noise."""
+
 STRETCH_FRAMES = 1000
 """Length of the stretch of a long recording that is coded first. It looks better than the whole, since it is less
 varied and the basis is counted once; if it is larger all the same, the whole is not promising."""
@@ -136,6 +144,11 @@ def smaller(
                 if size > best.payload_bytes:
                     continue
             most = PROMISING * best.payload_bytes + PROMISING_BYTES
+            if _has_sketch(motion):
+                sketch = codec.prepared(motion, near, fitted_hz=SKETCH_HZ)
+                limit = most * _sketch_exceeds(sketch)
+                if _estimate(sketch, limit) > limit:
+                    continue
             encoder = codec.prepared(motion, near)
             if _estimate(encoder, most) > most:
                 continue
@@ -194,6 +207,18 @@ def _in_place_of(encoded: Encoded[Motion], rival: Encoded[Motion]) -> Encoded[Mo
     return replace(encoded, chunks=rival.chunks, shared=(StreamHeader(fallback=rival.shared[0]).pack(),))
 
 
+def _has_sketch(motion: Motion) -> bool:
+    """Whether a basis for low frequencies is found much faster than one for all."""
+    low = 2 * SKETCH_HZ / motion.rate
+    return motion.points > PROMISING_POINTS and len(motion) <= dct.MATRIX_FRAMES and low < SKETCH_SHARE
+
+
+def _sketch_exceeds(sketch: MotionEncoder) -> float:
+    """How many times the bytes of the first coding a sketch takes at most."""
+    components = sketch.quantised(sketch.codec.first_rung).header.components
+    return SKETCH_EXCEEDS + SKETCH_EXCEEDS_PER_SHARE * components / max(1, sketch.prepared.fitted_frequencies or 0)
+
+
 def _estimate(encoder: MotionEncoder, most: float, times: float = 1.0, chunks: int = SAMPLED_CHUNKS) -> float:
     """Estimate of the bytes of `times` as much motion at the codec's target, from a few coded chunks.
 
@@ -244,5 +269,6 @@ def _to_mean(codec: Hou2014, motion: Motion, smooth: Floats, wanted: float) -> E
         mean = metrics.mean_distance(motion.positions, Hou2014.decode(encoded).positions)
         if 1 - MEAN_WITHIN <= mean / wanted <= 1:
             return encoded
-        bound *= MEAN_AIM * wanted / max(mean, 0.1 * wanted)
+        # the stored bound is a float32: last bits of a mean differ between NumPy and the compiled module
+        bound = float(np.float32(bound * MEAN_AIM * wanted / max(mean, 0.1 * wanted)))
     return None

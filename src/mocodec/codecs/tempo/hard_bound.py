@@ -24,6 +24,7 @@ import numpy as np
 from ... import parallel, progress
 from ...encoded import Chunk
 from ...stages import lattice
+from ...stages.lattice import GivenUp
 from ...typing import Floats
 from . import chunk, chunk_decoding, compiled_chunks
 from .chunk import BATCH, FIRST_OFFSET, TRANSFORM, ChunkEncoder, Draft, OnLattice, Payload, grid_step
@@ -214,18 +215,23 @@ class _LatticeTrials:
         tried = [i for i, draft in enumerate(drafts) if self._tries(encoders[i], draft)]
         found: list[OnLattice | None] = [None] * len(encoders)
         stride, of_typical = self._best if tried else (0, None)
+        transform_bytes = {i: self._transform_bytes(drafts[i]) for i in tried}
 
-        def on_lattice(i: int) -> OnLattice | None:
+        def on_lattice(i: int) -> OnLattice | GivenUp | None:
             known = of_typical if encoders[i] is self._typical else None
-            return known or self._of_stride(encoders[i], stride)
+            return known or self._of_stride(encoders[i], stride, transform_bytes[i])
 
         for i, one in zip(tried, parallel.over(on_lattice, tried), strict=True):
-            found[i], draft = one, drafts[i]
-            if draft is None:
+            found[i] = one if isinstance(one, OnLattice) else None
+            if drafts[i] is None:
                 progress.report((first + i + 1) / self._chunks)
-            if one is not None and draft is not None and draft.numbers is not None:
-                self._learn(encoders[i], draft.bits / 8 + self.share, len(one.payload))
+            if one is not None and transform_bytes[i] < np.inf:
+                self._learn(encoders[i], transform_bytes[i], one.bytes)
         return found
+
+    def _transform_bytes(self, draft: Draft | None) -> float:
+        """Of a chunk, with its share of the model; infinite where the transform does not code it."""
+        return np.inf if draft is None or draft.numbers is None else draft.bits / 8 + self.share
 
     def _learn(self, encoder: ChunkEncoder, transform_bytes: float, lattice_bytes: int) -> None:
         self._trials.learn(transform_bytes, lattice_bytes)
@@ -240,7 +246,7 @@ class _LatticeTrials:
         if _takes_few_bits(encoder, draft, self._plan) or not self._trials.tries_lattice(number):
             return False
         estimate = encoder.estimate_on_lattice(self._bound, self._plan.stride)
-        transform_bytes = draft.bits / 8 + self.share
+        transform_bytes = self._transform_bytes(draft)
         if estimate > self._plan.unlikely * transform_bytes:
             return False
         if self._outcomes is None or encoder.frames < FEWEST_FRAMES:
@@ -248,8 +254,8 @@ class _LatticeTrials:
         self._estimates[encoder] = estimate / max(1.0, transform_bytes)
         return not self._outcomes.rule_out(self._estimates[encoder])
 
-    def _of_stride(self, encoder: ChunkEncoder, stride: int) -> OnLattice | None:
-        return encoder.on_lattice(self._bound, self._plan.neighbours, stride)
+    def _of_stride(self, encoder: ChunkEncoder, stride: int, most_bytes: float = np.inf) -> OnLattice | GivenUp | None:
+        return encoder.on_lattice(self._bound, self._plan.neighbours, stride, most_bytes)
 
     @cached_property
     def _best(self) -> tuple[int, OnLattice | None]:
@@ -260,12 +266,12 @@ class _LatticeTrials:
         """
         stride = self._plan.stride
         best = self._of_stride(self._typical, stride) if stride < lattice.USUAL_STRIDE else None
-        while best is not None and stride < lattice.USUAL_STRIDE:
-            longer = self._of_stride(self._typical, stride + 1)
-            if longer is None or len(longer.payload) >= len(best.payload):
+        while isinstance(best, OnLattice) and stride < lattice.USUAL_STRIDE:
+            longer = self._of_stride(self._typical, stride + 1, best.bytes)
+            if longer is None or longer.bytes >= best.bytes:
                 break
             best, stride = longer, stride + 1
-        return stride, best
+        return stride, best if isinstance(best, OnLattice) else None
 
 
 def _on_lattice(

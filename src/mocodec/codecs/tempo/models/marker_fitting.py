@@ -13,6 +13,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from .... import native
 from ....typing import Floats, Integers
 from ..coding import contexts
 from ..coding.rows import POSE, step_size
@@ -107,51 +108,80 @@ def _rounded(pose: Floats, digits: int) -> Integers:
 
 def _guesses(pose: Floats, bones: BoneMotion) -> list[tuple[float, Guess]]:
     """First guesses: headings, and the body posed into the pose so rotated, at its height's scale or the prior's."""
-    height, out = np.ptp(bones.joints[:, 1]), []
+    height = np.ptp(bones.joints[:, 1])
     if not EXTENTS[0] < float(np.sqrt((pose**2).mean() / (bones.joints**2).mean())) < EXTENTS[1]:
         return []
+    angles, poses, scales = list[float](), list[Floats](), list[float]()
     for angle in np.arange(HEADINGS) * 2 * np.pi / HEADINGS:
         here = heading.rotate(pose[None], np.array([angle]))[0]
         for scale in (float(np.ptp(here[:, 1]) / height), 1.0):
             if SCALES[0] < scale < SCALES[1]:
-                out.append((float(angle), _posed_into(here, scale, bones)))
-    return out
+                angles.append(float(angle))
+                poses.append(here)
+                scales.append(scale)
+    return list(zip(angles, _posed_into(np.array(poses), np.array(scales), bones), strict=True)) if poses else []
 
 
-def _posed_into(pose: Floats, scale: float, bones: BoneMotion) -> Guess:
-    """The body shifted, scaled and posed until the points lie near its bones, by iterated weighted least squares."""
-    count, parents = len(pose), bones.parents
-    modes = bones.statistics.bases[0][:POSTURE_MODES].reshape(POSTURE_MODES, -1, 4, 3)
+def _posed_into(poses: Floats, scales: Floats, bones: BoneMotion) -> list[Guess]:
+    """The body shifted, scaled and posed until the points lie near its bones, by iterated weighted least squares: into
+    each of poses (guesses, points, 3) side by side, from scales (guesses,)."""
+    guesses, count = poses.shape[:2]
+    parents, scale = bones.parents, scales[:, None]
+    flat_modes = bones.statistics.bases[0][:POSTURE_MODES]
+    modes = flat_modes.reshape(POSTURE_MODES, -1, 4, 3)
     usual = step_size(bones.statistics.means[POSE : POSE + POSTURE_MODES])
     arms = bones.pose.reshape(-1, 4, 3)
-    shift = pose.mean(axis=0) - scale * bones.joints.mean(axis=0)
+    shift = poses.mean(axis=1) - scale * bones.joints.mean(axis=0)
     middle = (bones.joints[:, 1].max() + bones.joints[:, 1].min()) / 2
-    shift[1] = (pose[:, 1].max() + pose[:, 1].min()) / 2 - scale * middle
-    posed, bone, points = arms, np.zeros(count, np.int64), np.arange(count)
+    shift[:, 1] = (poses[..., 1].max(axis=1) + poses[..., 1].min(axis=1)) / 2 - scales * middle
+    posed, bone = np.repeat(arms[None], guesses, axis=0), np.zeros((guesses, count), np.int64)
+    shifts = np.tile(np.eye(3), count)
     for round_ in range(POSING_ROUNDS):
-        joints = posed[:, 0] * scale + shift
-        start, along = joints[parents], joints - joints[parents]
-        offset = pose[:, None] - start
-        part = np.clip((offset * along).sum(axis=2) / ((along**2).sum(axis=1) + 1e-9), 0.0, 1.0)
-        distance = np.sqrt(((offset - part[..., None] * along) ** 2).sum(axis=2))
-        bone = distance.argmin(axis=1)
-        share = part[points, bone][:, None]
-        weight = 1 / (0.05 + distance[points, bone])
+        joints = posed[:, :, 0] * scale[:, None] + shift[:, None]
+        bone, share, distance = _nearest_bones(poses, joints, parents)
+        weight = 1 / (0.05 + distance)
         free = 0 if round_ < POSING_ROUNDS // 3 else POSTURE_MODES
         ends, starts = modes[:free, :, 0][:, bone], modes[:free, :, 0][:, parents[bone]]
         still = arms[parents[bone], 0] * (1 - share) + arms[bone, 0] * share
-        moves = (starts * (1 - share) + ends * share).reshape(free, 3 * count)
-        wide = np.concatenate([usual[:free] * scale, [0.1 * scale], np.full(3, 10.0)])
-        a = np.concatenate([moves, still.reshape(1, -1), np.tile(np.eye(3), count)]).T * wide
-        w = np.repeat(weight / weight.sum(), 3)[:, None]
-        inner = (a * w).T @ a + (NEAR_BONE_M * scale) ** 2 / count * np.eye(a.shape[1])
-        best = np.linalg.solve(inner, (a * w).T @ (pose.ravel() - still.ravel() * scale)) * wide
-        scale = float(np.clip(scale + best[free], *SCALES))
-        shift = best[free + 1 :]
-        posed = arms + np.tensordot(best[:free] / scale, modes[:free], 1)
-    axes = ((posed[:, 1:] - posed[:, :1]) / ARM_M).swapaxes(1, 2)[bone]
-    offsets = (np.linalg.pinv(axes, 0.3) @ (pose - posed[bone, 0] * scale - shift)[..., None])[..., 0]
-    return Guess(scale, bone, offsets.clip(-FARTHEST_M * scale, FARTHEST_M * scale))
+        moves = (starts * (1 - share) + ends * share).swapaxes(0, 1).reshape(guesses, free, 3 * count)
+        wide = np.concatenate([usual[:free] * scale, 0.1 * scale, np.full((guesses, 3), 10.0)], axis=1)
+        flat = still.reshape(guesses, 1, -1)
+        a = np.concatenate([moves, flat, np.repeat(shifts[None], guesses, axis=0)], axis=1) * wide[..., None]
+        weighted = a * np.repeat(weight / weight.sum(axis=1, keepdims=True), 3, axis=1)[:, None]
+        stiff = ((NEAR_BONE_M * scale) ** 2 / count)[..., None] * np.eye(a.shape[1])
+        off = poses.reshape(guesses, -1, 1) - flat.swapaxes(1, 2) * scale[..., None]
+        best = np.linalg.solve(weighted @ a.swapaxes(1, 2) + stiff, weighted @ off)[..., 0] * wide
+        scale = np.clip(scale + best[:, free : free + 1], *SCALES)
+        shift = best[:, free + 1 :]
+        posed = arms + ((best[:, None, :free] / scale[..., None]) @ flat_modes[:free]).reshape(posed.shape)
+    each = np.arange(guesses)[:, None]
+    axes = ((posed[:, :, 1:] - posed[:, :, :1]) / ARM_M).swapaxes(2, 3)[each, bone]
+    away = poses - posed[each, bone, 0] * scale[..., None] - shift[:, None]
+    offsets = (np.linalg.pinv(axes, 0.3) @ away[..., None])[..., 0]
+    farthest = FARTHEST_M * scale[..., None]
+    offsets = offsets.clip(-farthest, farthest)
+    return [Guess(float(s[0]), b, o) for s, b, o in zip(scale, bone, offsets, strict=True)]
+
+
+def _nearest_bones(poses: Floats, joints: Floats, parents: Integers) -> tuple[Integers, Floats, Floats]:
+    """Of each point of poses (guesses, points, 3): the nearest bone, (guesses, points); where along it the point is,
+    0 at its start to 1 at its joint, (guesses, points, 1); and the distance, (guesses, points).
+
+    joints (guesses, bones, 3).
+    """
+    if (kernel := native.kernel("nearest_bones")) is not None:
+        return kernel(poses, joints, parents)
+    start = joints[:, parents]
+    along = joints - start
+    offset = poses[:, :, None] - start[:, None]
+    part = (offset * along[:, None]).sum(axis=3) / ((along**2).sum(axis=2) + 1e-9)[:, None]
+    np.clip(part, 0.0, 1.0, out=part)
+    offset -= part[..., None] * along[:, None]
+    offset *= offset
+    distance = np.sqrt(offset.sum(axis=3))
+    bone = distance.argmin(axis=2)[..., None]
+    share, nearest = (np.take_along_axis(each, bone, axis=2) for each in (part, distance))
+    return bone[..., 0], share, nearest[..., 0]
 
 
 def _components(bones: BoneMotion) -> Floats:
