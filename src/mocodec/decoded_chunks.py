@@ -144,7 +144,7 @@ def window(
     inside = [slice(max(0, start - edge), stop - edge) for edge in edges[:-1]]
     positions = np.concatenate([c.positions[i] for c, i in zip(chunks, inside, strict=True)])
     turned = [c.rotations[i] for c, i in zip(chunks, inside, strict=True) if c.rotations is not None]
-    return restore(encoded, positions, start, np.concatenate(turned) if turned else None)
+    return restore(encoded, positions, start, np.concatenate(turned) if turned else None, are_valid=True)
 
 
 def _chunks(

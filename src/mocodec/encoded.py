@@ -13,7 +13,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any, Generic, TypeVar
 
-from .motion import Motion, extras_between, source_from
+from .motion import Motion, extras_between, source_from, with_valid_positions
 from .pointcloud import PointClouds
 from .selection import frame_range
 from .typing import Floats, Integers
@@ -125,11 +125,19 @@ def about(motion: Motion, has_rotations: bool = False) -> Motion:
     return replace(motion, positions=motion.positions[:0], rotations=None if rotations is None else rotations[:0])
 
 
-def restore(encoded: Encoded[Motion], positions: Floats, start: int = 0, rotations: Floats | None = None) -> Motion:
+def restore(
+    encoded: Encoded[Motion],
+    positions: Floats,
+    start: int = 0,
+    rotations: Floats | None = None,
+    are_valid: bool = False,
+) -> Motion:
     """The motion of decoded positions (frames, points, 3) and rotations (frames, joints, 4), whose first frame is
-    `start` of the encoded motion."""
+    `start` of the encoded motion. are_valid: whether all positions are known to be finite, or gaps."""
     like = encoded.about
     complete = start == 0 and len(positions) == encoded.frames
     extras = like.extras if complete else extras_between(like.extras, start, start + len(positions), like.rate)
     source = source_from(like.source, start)
+    if are_valid and rotations is None and like.rotations is None:
+        return with_valid_positions(like, positions, extras=extras, source=source)
     return replace(like, positions=positions, rotations=rotations, extras=extras, source=source)

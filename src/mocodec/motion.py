@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from copy import copy
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from importlib import import_module
@@ -307,6 +308,17 @@ class Deferred(Mapping[str, Any]):
 
     def __reduce__(self) -> tuple[Any, ...]:
         return dict, (self._loaded,)
+
+
+def with_valid_positions(motion: Motion, positions: Floats, **others: Any) -> Motion:
+    """`replace` of positions (frames, points, 3), float64, and other fields, all of which are known to be valid.
+
+    Positions are not read again: that takes as long as copying them.
+    """
+    made = copy(motion)
+    for name, value in {"positions": positions, **others}.items():
+        object.__setattr__(made, name, value)
+    return made
 
 
 def require_events(extras: Mapping[str, Any]) -> None:

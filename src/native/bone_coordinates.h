@@ -1,5 +1,5 @@
 // Coordinates of bones and hubs from positions, four frames at a time: codecs/tempo/pose/bone_directions.py, forward.
-// They agree with NumPy's up to rounding.
+// Bit for bit those of NumPy: bases are fitted to them, and a basis of hardly any motion follows the last bits.
 #pragma once
 
 #include <algorithm>
@@ -47,24 +47,31 @@ struct Positions {
     }
 };
 
-// rotations.vector_of for one matrix, row by row.
-inline void vector_of(const double (&m)[3][3], double *out) {
+// The quaternion of a rotation matrix, by rows, times any positive number: real part first, which is not negative.
+inline void quaternion_of(const double (&m)[3][3], double *out) {
     const double trace = m[0][0] + m[1][1] + m[2][2];
     const double w[3] = {m[2][1] - m[1][2], m[0][2] - m[2][0], m[1][0] - m[0][1]};
-    double real = 1 + trace, q[3] = {w[0], w[1], w[2]}, largest = trace;
+    double *q = out + 1, largest = trace;
+    out[0] = 1 + trace;
+    std::copy_n(w, 3, q);
     for (size_t a = 0; a < 3; ++a) {
         if (!(m[a][a] > largest)) continue;
         const size_t b = (a + 1) % 3, c = (a + 2) % 3;
         largest = m[a][a];
-        real = w[a];
+        out[0] = w[a];
         q[a] = 1 + m[a][a] - m[b][b] - m[c][c];
         q[b] = m[b][a] + m[a][b];
         q[c] = m[c][a] + m[a][c];
     }
-    const double sign = real < 0 ? -1.0 : 1.0;
-    real *= sign;
-    const double size = std::sqrt(q[0] * q[0] + q[1] * q[1] + q[2] * q[2]);
-    const double ratio = size < TINY ? 0.0 : 2 * std::atan2(size, real) / size * sign;
+    if (out[0] < 0)
+        for (size_t i = 0; i < 4; ++i) out[i] *= -1;
+}
+
+// rotations.vector_of, of quaternions.
+ALWAYS_INLINE void vector_of(const Four *quaternion, Four *out) {
+    const Four &real = quaternion[0], *q = quaternion + 1;
+    const Four size_2 = q[0] * q[0] + q[1] * q[1] + q[2] * q[2], size = root(size_2);
+    const Four ratio = where_less(size, TINY, Four{} * 0.0, angle_of(size, size_2, real) * 2.0 / size);
     for (size_t k = 0; k < 3; ++k) out[k] = q[k] * ratio;
 }
 
@@ -77,8 +84,8 @@ inline void to_unit(double *v) {
     for (size_t k = 0; k < 3; ++k) v[k] /= length;
 }
 
-// The rotation of a hub from the directions `pair` of its pair of bones: rotations.frame_of_pair, vector_of.
-inline void hub_rotation(const Four (&pair)[2][3], size_t lane, const double *pair_frame, double *out) {
+// The quaternion of a hub whose pair of bones points along `pair`: rotations.frame_of_pair.
+inline void hub_quaternion(const Four (&pair)[2][3], size_t lane, const double *pair_frame, double *out) {
     double a[3], b[3], axes[3][3], matrix[3][3];
     for (size_t k = 0; k < 3; ++k) a[k] = pair[0][k][lane], b[k] = pair[1][k][lane];
     to_unit(a), to_unit(b);
@@ -90,7 +97,7 @@ inline void hub_rotation(const Four (&pair)[2][3], size_t lane, const double *pa
             matrix[i][j] = 0;
             for (size_t k = 0; k < 3; ++k) matrix[i][j] += axes[k][i] * pair_frame[3 * j + k];
         }
-    vector_of(matrix, out);
+    quaternion_of(matrix, out);
 }
 
 // All coordinates of four frames, (dimensions, 4), in the order of the tree.
@@ -111,11 +118,13 @@ ALWAYS_INLINE void coordinates(const Schedule &of, const Positions &positions, s
                 into(reference, offset, turned);
                 into(home, turned, pair[i]);
             }
+            Four quaternion[4];
             for (size_t lane = 0; lane < 4; ++lane) {
-                double found[3];
-                hub_rotation(pair, lane, of.pair_frames + 9 * number, found);
-                for (size_t k = 0; k < 3; ++k) vector[k][lane] = found[k];
+                double found[4];
+                hub_quaternion(pair, lane, of.pair_frames + 9 * number, found);
+                for (size_t k = 0; k < 4; ++k) quaternion[k][lane] = found[k];
             }
+            vector_of(quaternion, vector);
             frame_of(vector, reference ? local : own);
             for (size_t axis = 0; reference && axis < 9; axis += 3) {
                 out_of(home, local + axis, turned);
@@ -131,11 +140,8 @@ ALWAYS_INLINE void coordinates(const Schedule &of, const Positions &positions, s
         into(rest, reference ? turned : offset, local);
         const Four horizontal_2 = local[0] * local[0] + local[1] * local[1];
         const Four horizontal = root(horizontal_2), angle = angle_of(horizontal, horizontal_2, local[2]);
-        for (size_t i = 0; i < 4; ++i) {
-            const double ratio = horizontal[i] < TINY ? 0.0 : angle[i] / horizontal[i];
-            tilt[0][i] = local[0][i] * ratio;
-            tilt[1][i] = local[1][i] * ratio;
-        }
+        const Four ratio = where_less(horizontal, TINY, Four{} * 0.0, angle / horizontal);
+        tilt[0] = local[0] * ratio, tilt[1] = local[1] * ratio;
         if (!own) continue;
         tilted_frame(rest, tilt[0], tilt[1], reference ? local : own);
         for (size_t axis = 0; reference && axis < 9; axis += 3) out_of(reference, local + axis, own + axis);
@@ -167,8 +173,9 @@ inline void unwrap(double *vector, size_t size, size_t frames) {
             before[k] = here;
         }
         if (f && step_2 > PI * PI) odd = !odd;
+        if (!odd) continue;  // nearly always: roots are slow
         const double length = std::sqrt(length_2);
-        if (odd && !(length < TINY))
+        if (!(length < TINY))
             for (size_t k = 0; k < size; ++k) vector[k * frames + f] *= 1 - 2 * PI / length;
     }
 }

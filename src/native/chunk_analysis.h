@@ -11,8 +11,11 @@
 
 #include "bone_coordinates.h"
 #include "chunk_synthesis.h"
+#include "fast_cosines.h"
 
 namespace chunks {
+
+using fast_cosines::FastCosines;
 
 // Inputs of the analysis besides Shape. bases: for each band, from coordinates before `scale` to components, in panels
 // of PANEL components, (panels, dimensions, PANEL). joints, pairs, pair_frames: bones::Schedule; parents: of each point.
@@ -24,7 +27,7 @@ struct Analysis {
 
 struct AnalysisScratch {
     std::vector<double> columns, curves, heading, cosine, sine, spectrum;
-    std::vector<double> sums, differences, of_panel;
+    std::vector<double> work;  // of FastCosines
 
     static NEVER_INLINE AnalysisScratch &of_thread() {  // looks its address up once
         static thread_local AnalysisScratch scratch;
@@ -35,9 +38,9 @@ struct AnalysisScratch {
 class Analyser {
 public:
     // heading_frequencies: number of kept coefficients of the heading.
-    Analyser(const Shape &shape, const Analysis &analysis, const Cosines &cosines, const size_t *band_ends,
-             double heading_step, size_t heading_frequencies)
-        : of_(shape), with_(analysis), cosines_(cosines), band_ends_(band_ends), heading_step_(heading_step),
+    Analyser(const Shape &shape, const Analysis &analysis, const Cosines &cosines, const FastCosines &spectra,
+             const size_t *band_ends, double heading_step, size_t heading_frequencies)
+        : of_(shape), with_(analysis), cosines_(cosines), spectra_(spectra), band_ends_(band_ends), heading_step_(heading_step),
           heading_frequencies_(std::min(heading_frequencies, cosines.frames)), frames_(cosines.frames),
           rows_of_spectrum_(shape.dimensions + 3) {}
 
@@ -175,59 +178,16 @@ private:
 
     // stages/dct.py, forward: DCT of all curves, (blocks of TILE frequencies, columns, TILE).
     ALWAYS_INLINE void transform(AnalysisScratch &scratch) const {
-        const size_t columns = rows_of_spectrum_, padded = cosines_.blocks * TILE;
-        scratch.spectrum.assign((frames_ + TILE - 1) / TILE * TILE * columns, 0.0);
-        scratch.sums.resize(padded * PANEL), scratch.differences.resize(padded * PANEL);
+        const size_t columns = rows_of_spectrum_;
+        scratch.spectrum.resize((frames_ + TILE - 1) / TILE * TILE * columns);
+        scratch.work.resize(spectra_.work());
         for (size_t first = 0; first < columns; first += PANEL) {
             const size_t count = std::min(PANEL, columns - first);
-            fold(scratch.curves.data() + first * frames_, count, scratch);
-            for (size_t parity = 0; parity < 2; ++parity) {
-                products(parity ? scratch.differences.data() : scratch.sums.data(), parity, scratch);
-                const size_t frequencies = Cosines::frequencies(frames_, parity);
-                for (size_t i = 0; i < frequencies; ++i) {
-                    const size_t k = 2 * i + parity;
-                    double *to = scratch.spectrum.data() + (k / TILE * columns + first) * TILE + k % TILE;
-                    for (size_t j = 0; j < count; ++j) to[j * TILE] = scratch.of_panel[i * PANEL + j];
-                }
-            }
-        }
-    }
-
-    // Sums and differences of the first half of the frames and the mirrored second half, (half of the frames, PANEL).
-    ALWAYS_INLINE void fold(const double *curves, size_t count, AnalysisScratch &scratch) const {
-        const size_t half = cosines_.half;
-        double *sums = scratch.sums.data(), *differences = scratch.differences.data();
-        std::fill_n(sums, scratch.sums.size(), 0.0), std::fill_n(differences, scratch.differences.size(), 0.0);
-        for (size_t j = 0; j < count; ++j) {
-            const double *of = curves + j * frames_;
-            for (size_t t = 0; t < half; ++t) {
-                const double mirrored = of[frames_ - 1 - t];
-                sums[t * PANEL + j] = of[t] + mirrored;
-                differences[t * PANEL + j] = of[t] - mirrored;
-            }
-            if (frames_ % 2) sums[(half - 1) * PANEL + j] /= 2;  // the middle sample mirrors itself
-        }
-    }
-
-    // of_panel[i][…] = Σ cosines[t][i] · from[t][…], for the even or odd frequencies.
-    ALWAYS_INLINE void products(const double *from, size_t parity, AnalysisScratch &scratch) const {
-        const size_t frequencies = Cosines::frequencies(frames_, parity);
-        scratch.of_panel.assign(frequencies * PANEL, 0.0);
-        for (size_t block = 0; block < cosines_.blocks; ++block) {
-            const double *cosines = cosines_.block(block, parity);
-            Four left[TILE], right[TILE];
-            for (size_t t = 0; t < TILE; ++t) {
-                load(left[t], from + (block * TILE + t) * PANEL);
-                load(right[t], from + (block * TILE + t) * PANEL + 4);
-            }
-            for (size_t i = 0; i < frequencies; ++i) {
-                double *to = scratch.of_panel.data() + i * PANEL;
-                const double *c = cosines + i * TILE;
-                Four a, b;
-                load(a, to), load(b, to + 4);
-                for (size_t t = 0; t < TILE; ++t) a += left[t] * c[t], b += right[t] * c[t];
-                store(a, to), store(b, to + 4);
-            }
+            double *to = scratch.spectrum.data() + first * TILE;
+            spectra_.forward(scratch.curves.data() + first * frames_, count, scratch.work.data(), [=](size_t k, const double *row) {
+                double *at = to + k / TILE * columns * TILE + k % TILE;
+                for (size_t j = 0; j < count; ++j) at[j * TILE] = row[j];
+            });
         }
     }
 
@@ -260,6 +220,7 @@ private:
     const Shape &of_;
     const Analysis &with_;
     const Cosines &cosines_;
+    const FastCosines &spectra_;
     const size_t *band_ends_;
     const double heading_step_;
     const size_t heading_frequencies_, frames_, rows_of_spectrum_;

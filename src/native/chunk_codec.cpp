@@ -27,11 +27,13 @@ std::vector<T> copied(const U &array) {
     return std::vector<T>(array.data(), array.data() + array.size());
 }
 
-void synthesise(const Synthesis &synthesis, const Integers &integers, const Target &out) { synthesis.run(integers, out); }
+bool synthesise(const Synthesis &synthesis, const Integers &integers, const Target &out) {
+    return synthesis.run(integers, out);
+}
 
 #ifdef HAS_AVX2_TWIN
-WITH_AVX2 void synthesise_with_avx2(const Synthesis &synthesis, const Integers &integers, const Target &out) {
-    synthesis.run(integers, out);
+WITH_AVX2 bool synthesise_with_avx2(const Synthesis &synthesis, const Integers &integers, const Target &out) {
+    return synthesis.run(integers, out);
 }
 #endif
 
@@ -186,16 +188,17 @@ private:
     }
 };
 
-// Cached cosines of the last chunk lengths, shared by all models.
-std::shared_ptr<const Cosines> cosines_of(size_t frames) {
+// Cached tables of the last chunk lengths, shared by all models: Cosines or FastCosines.
+template <class Table>
+std::shared_ptr<const Table> table_of(size_t frames) {
     constexpr size_t KEPT = 8;
     static std::mutex lock;
-    static std::deque<std::shared_ptr<const Cosines>> kept;
+    static std::deque<std::shared_ptr<const Table>> kept;
     const std::lock_guard<std::mutex> guard(lock);
     for (const auto &each : kept)
         if (each->frames == frames) return each;
     if (kept.size() == KEPT) kept.pop_front();
-    kept.push_back(std::make_shared<const Cosines>(frames));
+    kept.push_back(std::make_shared<const Table>(frames));
     return kept.back();
 }
 
@@ -207,7 +210,8 @@ public:
     ChunksOfLength(const ChunkCodec &of, Input<int64_t, 2> expected, std::vector<size_t> band_ends, double heading_step,
                    size_t heading_frequencies)
         : shape_(of.shape), encoding_(of.encoding), expectations_(of.tables, expected.data(), expected.shape(0), expected.shape(1), of.shape->points),
-          cosines_of_length_(cosines_of(expected.shape(0))), cosines_(*cosines_of_length_), band_ends_(std::move(band_ends)),
+          cosines_of_length_(table_of<Cosines>(expected.shape(0))), cosines_(*cosines_of_length_),
+          spectra_(of.encoding ? table_of<FastCosines>(expected.shape(0)) : nullptr), band_ends_(std::move(band_ends)),
           heading_step_(heading_step), heading_frequencies_(heading_frequencies) {
         if (expected.shape(1) != of.components + POSE || !expected.shape(0) || band_ends_.size() != shape_->bases.size() ||
             band_ends_.back() != expected.shape(0))
@@ -215,7 +219,8 @@ public:
     }
 
     // Decodes frames [first, first + len(out)) of a chunk to out (frames, points, 3). axes: output axis of x, y and z;
-    // correction_step: metres. Returns false, with undefined `out`, for bytes that Python must decode or reject.
+    // correction_step: metres. Returns false, with undefined `out`, for bytes that Python must decode or reject, and
+    // for positions that are not all finite.
     bool decode(nb::bytes numbers, double correction_step, InPlace<double, 3> out, size_t first,
                 std::tuple<size_t, size_t, size_t> axes) const {
         const auto [x, y, z] = axes;
@@ -231,9 +236,9 @@ public:
         if (!expectations_.unpack(data, size, integers) ||
             !corrections_of(integers.lists, cosines_.frames, shape_->points, corrections))
             return false;
-        positions(integers, to);
+        const bool are_finite = positions(integers, to);
         apply(corrections, *shape_, cosines_.frames, correction_step, to);
-        return true;
+        return are_finite;
     }
 
     // Model.analyse: coefficients (frames, rows) of positions (frames, points, 3), y up.
@@ -243,8 +248,8 @@ public:
         Fresh<double> out(cosines_.frames * expectations_.rows);
         {
             nb::gil_scoped_release release;
-            const Analyser analyser(*shape_, encoding_->analysis, cosines_, band_ends_.data(), heading_step_,
-                                    heading_frequencies_);
+            const Analyser analyser(*shape_, encoding_->analysis, cosines_, *spectra_, band_ends_.data(),
+                                    heading_step_, heading_frequencies_);
 #ifdef HAS_AVX2_TWIN
             static const bool has_avx2 = processor_has_avx2();
             if (has_avx2) analyse_with_avx2(analyser, of.data(), expectations_.rows, out.data.get());
@@ -347,15 +352,15 @@ private:
         return values.give({found.frequencies, rows});
     }
 
-    void positions(const Integers &integers, const Target &to) const {
+    // Whether all positions are finite.
+    bool positions(const Integers &integers, const Target &to) const {
         const double step_m = std::pow(2.0, double(integers.step) / 32);
         const Synthesis synthesis(*shape_, cosines_, band_ends_.data(), step_m, heading_step_);
 #ifdef HAS_AVX2_TWIN
         static const bool has_avx2 = processor_has_avx2();
-        if (has_avx2) synthesise_with_avx2(synthesis, integers, to);
-        else
+        if (has_avx2) return synthesise_with_avx2(synthesis, integers, to);
 #endif
-            synthesise(synthesis, integers, to);
+        return synthesise(synthesis, integers, to);
     }
 
     std::shared_ptr<const Shape> shape_;
@@ -363,6 +368,7 @@ private:
     const Expectations expectations_;
     const std::shared_ptr<const Cosines> cosines_of_length_;
     const Cosines &cosines_;
+    const std::shared_ptr<const FastCosines> spectra_;  // null without `encoding_`
     const std::vector<size_t> band_ends_;
     const double heading_step_;
     const size_t heading_frequencies_;

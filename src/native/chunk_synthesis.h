@@ -83,7 +83,8 @@ public:
     Synthesis(const Shape &shape, const Cosines &cosines, const size_t *band_ends, double step_m, double heading_step)
         : of_(shape), cosines_(cosines), band_ends_(band_ends), step_m_(step_m), heading_step_(heading_step) {}
 
-    ALWAYS_INLINE void run(const Integers &integers, const Target &out) const {
+    // Whether all positions are finite: corrections do not change it.
+    ALWAYS_INLINE bool run(const Integers &integers, const Target &out) const {
         Scratch &scratch = Scratch::of_thread();
         const size_t known = integers.coefficients.empty() ? 0 : integers.coefficients.back().frequency + 1;
         const bool divided = of_.bases.front() == of_.bases.back() &&
@@ -93,7 +94,7 @@ public:
         curves(of_columns, scratch, out);
         if (divided) add_components(known, scratch, out);
         repeat_last_frame(scratch);
-        poses(scratch, out);
+        return poses(scratch, out);
     }
 
 private:
@@ -258,11 +259,12 @@ private:
         for (size_t i = 1; i <= 3; ++i) std::memcpy(last + i * columns, last, columns * sizeof(double));
     }
 
-    ALWAYS_INLINE void poses(Scratch &scratch, const Target &out) const {
+    // Whether their sum is finite.
+    ALWAYS_INLINE bool poses(Scratch &scratch, const Target &out) const {
         const size_t columns = of_.columns, points = of_.points;
         const double share = 1 / std::sqrt(double(points));
         scratch.pose.resize(12 * points);
-        Four *pose = fours(scratch.pose);
+        Four *pose = fours(scratch.pose), sum = Four{} * 0.0;
         for (size_t first = out.first; first < out.last; first += 4) {
             const double *curves = scratch.curves.data() + first * columns;
             if (of_.tree) directions(*of_.tree, curves, scratch);
@@ -284,12 +286,13 @@ private:
                 const Four x = pose[3 * p], z = pose[3 * p + 2];
                 const Four moved[3] = {cosine * x + sine * z + place[0], pose[3 * p + 1] + place[1],
                                        cosine * z - sine * x + place[2]};
-                for (size_t k = 0; k < 3; ++k) {
-                    double *at = out.positions + ((first - out.first) * points + p) * 3 + out.axis[k];
-                    for (size_t i = 0; i < count; ++i) at[i * points * 3] = moved[k][i];
-                }
+                sum += moved[0] + moved[1] + moved[2];
+                double *to = out.positions + ((first - out.first) * points + p) * 3;
+                for (size_t k = 0; k < 3; ++k)
+                    for (size_t i = 0; i < count; ++i) to[i * points * 3 + out.axis[k]] = moved[k][i];
             }
         }
+        return std::isfinite(sum[0] + sum[1] + sum[2] + sum[3]);
     }
 
     // One column in four frames.

@@ -62,7 +62,7 @@ Output<double> give(const std::vector<lattice::Vec> &values, const lattice::Layo
     return out.give({of.points, of.frames, 3});
 }
 
-// The stream and its decoded samples (points, frames, 3); about the bytes of the stream if they clearly exceed `most_bytes`;
+// The stream and its decoded samples (points, frames, 3); its estimated length alone if that clearly exceeds `most_bytes`;
 // None if a sample is too large.
 nb::object tempo_lattice_encode(Input<double, 3> wanted, Input<uint8_t, 2> missing, Table sequence,
                                 Input<int32_t, 2> neighbours, int stride_log, double most_bytes, Table squash,

@@ -26,8 +26,8 @@ constexpr double LIMIT = 1099511627776.0;  // 2^40: larger predictions and resid
 constexpr double WIDE = 12;                // residuals with a larger coordinate are not optimised
 constexpr int LARGEST_STRIDE_LOG = 6;
 constexpr int EDGE = 7;                    // level of samples without both neighbours in time
-// An encoder gives up where some points take this many times their share of the most bytes, and this share of all beside:
-// the first points take up to half more than others.
+// An encoder stops once the first points, a share s of all, take over (CLEARLY · s + OF_FIRST_POINTS) · most_bytes: the very
+// first points take up to half more bytes than others.
 constexpr double CLEARLY = 1.25, OF_FIRST_POINTS = 0.05;
 
 struct Layout {
@@ -54,8 +54,8 @@ public:
         }
     }
 
-    // Codes the chunk. Returns whether the stream was consistent; an encoder: whether it coded all samples. It gives up where
-    // the first points show that the stream would clearly be longer than `most_bytes`.
+    // Codes the chunk. A decoder returns whether the stream was consistent; an encoder, whether it coded all samples: it stops
+    // if the first points show that the stream would clearly be longer than `most_bytes`.
     bool run(double most_bytes = HUGE_VAL) {
         for (size_t i = 0; i < of.points; ++i) {
             if (!point(size_t(of.sequence[i]), i == 0)) return false;
@@ -70,7 +70,7 @@ public:
         return true;
     }
 
-    size_t expected_bytes = 0;  // about those of the stream, where an encoder gave up; otherwise 0
+    size_t expected_bytes = 0;  // estimated length of the stream if the encoder stopped; otherwise 0
 
 private:
     const Layout of;

@@ -27,7 +27,7 @@
 //                   signal_chunks.cpp decodes whole chunks (signal_records.h: bytes, signal_values.h: integers to values)
 //   householder.cpp orthonormal bases stored as reflections, for stages/basis.py; householder.h makes the basis
 //   ordered.cpp     linear algebra in a fixed order of operations, for codecs/tempo/models/ordered.py
-//   marker_fitting.cpp bones that markers sit on, for codecs/tempo/models/marker_fitting.py
+//   marker_fitting.cpp    bones that markers sit on, for codecs/tempo/models/marker_fitting.py
 //   clip_synthesis.cpp    positions of clips from integers, for codecs/hou2014/stream.py; cosine_series.h is the DCT
 //   clip_quantiser.cpp    integers of coefficients, for codecs/hou2014/quantised_motion.py
 //   clip_lengths.cpp      the best length of clips, for codecs/hou2014/clip_segmentation.py

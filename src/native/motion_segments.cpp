@@ -1,4 +1,4 @@
-// Segments of a motion from their bytes to positions, for codecs/liu2006/decoding.py: to rounding.
+// Segments of a motion from their bytes to positions, for codecs/liu2006/decoding.py; the same as there up to rounding.
 //
 //   payload ─► head, bits of key frames, streams of integers ─► key frames, values, bases ─► splines of each segment
 //   splines ─► normalisation markers ─► frames of the body ─► poses ─► positions, blended with those of the neighbours
@@ -45,7 +45,7 @@ struct Segment {
     std::vector<PoseSpline> groups;
 };
 
-// Bits, highest first.
+// Reads bits from the highest of each byte to the lowest.
 struct Bits {
     bool next() {
         require(at < 8 * data.left());
@@ -54,7 +54,7 @@ struct Bits {
         return bit;
     }
 
-    // Whether less than a byte is left, without a bit that is set.
+    // Whether fewer than eight bits are left, all of them 0.
     bool are_read() {
         if (8 * data.left() - at >= 8) return false;
         while (at < 8 * data.left())
@@ -86,8 +86,8 @@ public:
 
     MotionSegments(const MotionSegments &) = delete;
 
-    // Adds the segment of frames [start, stop), behind the one before: the bytes of its gaps and of its residual. None for
-    // bytes that no encoder writes.
+    // Adds the segment of frames [start, stop), which follows the previous one; returns the bytes of its gaps and of its
+    // residual. None for bytes that no encoder writes.
     std::optional<nb::tuple> read(nb::bytes payload, int64_t start, int64_t stop) {
         const uint8_t *data = static_cast<const uint8_t *>(payload.data());
         try {
@@ -154,7 +154,7 @@ private:
             const int64_t of_group = read_rung(head);
             const uint64_t k = head.varint();
             require(k <= width);
-            for (uint64_t i = 0, precision = 0; i < k; ++i) {  // the first precision, then how much each is less
+            for (uint64_t i = 0, precision = 0; i < k; ++i) {  // the first precision, then by how much each is lower
                 const uint64_t drop = head.varint();
                 require(drop <= (i ? precision : FINEST));
                 precision = i ? precision - drop : drop;
@@ -253,7 +253,7 @@ private:
                 markers[3 * m + d] = curve[d] * ROTATION[0][m] + curve[3 + d] * ROTATION[1][m] + curve[6 + d] * ROTATION[2][m];
     }
 
-    // The poses of all groups at frames of the motion, in these frames of the body.
+    // The poses of all groups at frames of the motion, transformed from these frames of the body.
     void place_poses(Segment &segment, int64_t first, size_t frames, const double *origins, const double *headings, double *out) {
         for (size_t group = 0; group < groups_.size(); ++group) {
             const Integers &columns = groups_[group];
@@ -262,7 +262,7 @@ private:
         }
     }
 
-    // decoding._blend: the changes are all found before any of them is made.
+    // decoding._blend. Computes all changes before it applies any.
     void blend(size_t i, int64_t first, size_t frames, const double *origins, const double *headings, double *out) {
         const size_t row = points_ * 3;
         struct Change {

@@ -1,4 +1,4 @@
-// codecs/tempo/pose/rotations.py for four frames at a time. Results agree with NumPy's up to rounding.
+// codecs/tempo/pose/rotations.py for four frames at a time: the same operations in the same order.
 #pragma once
 
 #include <algorithm>
@@ -37,12 +37,6 @@ ALWAYS_INLINE void sin_cos(const Four &squared, Four &sine, Four &cosine, Four &
     cosine = 1.0 - versed * squared;
 }
 
-ALWAYS_INLINE Four root(const Four &of) {
-    Four out;
-    for (size_t i = 0; i < 4; ++i) out[i] = std::sqrt(of[i]);
-    return out;
-}
-
 // arctan2(y, x) for y ≥ 0; y_2 = y². Halves the angle twice; then a rational function
 // (Cephes, atan.c) is exact up to rounding.
 ALWAYS_INLINE Four angle_of(const Four &y, const Four &y_2, const Four &x) {
@@ -52,21 +46,15 @@ ALWAYS_INLINE Four angle_of(const Four &y, const Four &y_2, const Four &x) {
     constexpr double Q[] = {2.485846490142306297962e1, 1.650270098316988542046e2, 4.328810604912902668951e2,
                             4.853903996359136964868e2, 1.945506571482613964425e2};
     const Four length = root(x * x + y_2);
-    Four half, out;
-    for (size_t i = 0; i < 4; ++i) half[i] = y[i] / std::max(length[i] + std::fabs(x[i]), 1e-300);
-    const Four below = root(half * half + 1.0);
-    Four t;
-    for (size_t i = 0; i < 4; ++i) t[i] = half[i] / (1.0 + below[i]);
+    const Four half = y / at_least(length + magnitude(x), 1e-300);
+    const Four t = half / (root(half * half + 1.0) + 1.0);
     const Four z = t * t;
     Four p = z * P[0], q = z + Q[0];
     for (int i = 1; i < 4; ++i) p = (p + P[i]) * z;
     p = (p + P[4]) * z;
     for (int i = 1; i < 5; ++i) q = q * z + Q[i];
-    for (size_t i = 0; i < 4; ++i) {
-        const double angle = 4 * (t[i] + t[i] * (p[i] / q[i]));
-        out[i] = x[i] < 0 ? PI - angle : angle;
-    }
-    return out;
+    const Four angle = (t + t * (p / q)) * 4.0;
+    return where_less(x, 0, PI - angle, angle);
 }
 
 // out = frame · vector; a frame is stored as its three axes.

@@ -111,7 +111,7 @@ public:
         return fields[5] != 0;
     }
 
-    // Integers (steps, lanes) of bytes; false for streams of the other ladder of laws, with hints, or that no encoder writes.
+    // Decodes bytes to integers (steps, lanes); false for streams with the other ladder of laws or hints, and for damaged ones.
     bool read(const uint8_t *data, size_t size, size_t steps, size_t lanes, size_t most, int64_t *out) const {
         if (!steps || !lanes || size < 2 || ((data[0] | data[1] << 8) & MASK) < MANY) return false;
         State state(data, size);

@@ -3,6 +3,7 @@
 // Both do the same operations in the same order, without fused multiply-adds, so their bits are equal.
 #pragma once
 
+#include <cmath>
 #include <cstddef>
 #include <cstring>
 
@@ -40,8 +41,29 @@ struct Four {
 FOUR_OPERATOR(+)
 FOUR_OPERATOR(-)
 FOUR_OPERATOR(*)
+FOUR_OPERATOR(/)
 #undef FOUR_OPERATOR
 #endif
+
+// Where `test` is less than `limit`, `below`; `others` elsewhere.
+ALWAYS_INLINE Four where_less(const Four &test, double limit, const Four &below, const Four &others) {
+#if defined(__GNUC__)
+    return test < Four{limit, limit, limit, limit} ? below : others;
+#else
+    Four out;
+    for (size_t i = 0; i < 4; ++i) out[i] = test[i] < limit ? below[i] : others[i];
+    return out;
+#endif
+}
+ALWAYS_INLINE Four root(const Four &of) {
+    Four out;
+    for (size_t i = 0; i < 4; ++i) out[i] = std::sqrt(of[i]);
+    return out;
+}
+ALWAYS_INLINE Four magnitude(const Four &of) { return where_less(of, 0, of * -1.0, of); }
+ALWAYS_INLINE Four at_least(const Four &of, double least) {
+    return where_less(of, least, Four{least, least, least, least}, of);
+}
 
 ALWAYS_INLINE void load(Four &into, const double *from) { std::memcpy(&into, from, sizeof into); }
 ALWAYS_INLINE void store(const Four &from, double *into) { std::memcpy(into, &from, sizeof from); }

@@ -71,6 +71,14 @@ def test_positions_are_those_of_numpy(encoded: dict[str, Encoded[Motion]]):
             np.testing.assert_array_equal(Tempo.decode(stream, slice(start, stop)).positions, found[start:stop])
 
 
+@pytest.mark.parametrize("frames", [1, 2, 3, 4, 5, 8, 9, 17, 31, 64, 101, 240, 257, 459, 512, 1023])
+def test_coefficients_of_any_number_of_frames_are_those_of_numpy(encoded: dict[str, Encoded[Motion]], frames: int):
+    model, positions = model_of(encoded["named joints"]), named_skeleton(frames=frames).positions
+    expected = model.analyse(positions)
+    found = compiled_chunks.analyse(model, positions)
+    np.testing.assert_allclose(found, expected, rtol=0, atol=1e-11)
+
+
 def test_numpy_encodes_to_the_same_bytes(encoded: dict[str, Encoded[Motion]]):
     """Trials of a step: quantisation, errors, corrections; and coordinates of bones."""
     for name, motion, codec in encodings():

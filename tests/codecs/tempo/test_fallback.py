@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
 from mocodec import Motion, metrics
 from mocodec.codecs.hou2014 import Hou2014
 from mocodec.codecs.tempo import Tempo, fallback
+from mocodec.codecs.tempo.pose.heading import from_y_up
 from mocodec.codecs.tempo.preparation import prepare
 from mocodec.testing import synthetic
 
@@ -52,6 +55,19 @@ def test_fewer_bytes_are_taken_with_a_smaller_error_than_asked_for() -> None:
     by_fallback = Tempo(mean_error=0.003, model="hou2014").encode(noisy)
     assert metrics.mean_distance(noisy.positions, Tempo.decode(by_fallback).positions) < 0.003
     assert Tempo(mean_error=0.003).encode(noisy).payload_bytes <= by_fallback.payload_bytes
+
+
+def test_a_bound_that_is_searched_for_does_not_follow_the_last_bits_of_a_mean() -> None:
+    motion = synthetic.markers(frames=200, seed=2)
+    positions = motion.positions.copy()
+    positions[50:90, 3] = np.nan
+    with_gap = replace(motion, positions=positions)
+    codec, filled = Hou2014(max_error=0.004), prepare(positions, motion.up).positions
+    found = fallback._to_mean(codec, with_gap, from_y_up(filled, motion.up), 0.001)  # pyright: ignore[reportPrivateUsage]
+    assert found is not None
+    bound = found.settings["max_error"]
+    assert bound != 0.004
+    assert bound == np.float32(bound)
 
 
 def test_a_basis_fitted_to_low_frequencies_is_enough_for_an_estimate() -> None:

@@ -16,7 +16,7 @@ from ...errors import Corrupt
 from ...stages import frozen, lattice
 from ...typing import Floats
 from . import compiled_chunks
-from .chunk import ALWAYS_FRAMES, BATCH, DIRECT, LONGEST_SECONDS, TRANSFORM, Payload, grid_size, in_metres
+from .chunk import ALWAYS_FRAMES, BATCH, DIRECT, GAPPED, LONGEST_SECONDS, TRANSFORM, Payload, grid_size, in_metres
 from .coding import coefficients, corrections, direct, quantise, rows
 from .models.model import Model
 from .pose import heading
@@ -37,15 +37,17 @@ def decode(model: Model, chunks: Sequence[Chunk]) -> list[Floats]:
     return [next(rest) if done is None else done for done in found]
 
 
-def decode_into(model: Model, chunks: Sequence[Chunk], out: Floats, start: int, up: str) -> None:
+def decode_into(model: Model, chunks: Sequence[Chunk], out: Floats, start: int, up: str) -> bool:
     """Frames [start, start + len(out)) of chunks that cover them, into `out` (frames, points, 3), metres.
 
-    up: the vertical axis of the result. Chunks decode in the threads of `parallel`. Raises Corrupt.
+    up: the vertical axis of the result. Chunks are read and decoded in the threads of `parallel`. Returns whether all
+    positions are known to be finite. Raises Corrupt.
     """
     _require_usual_lengths(model, chunks)
-    for chunk in chunks:
-        compiled_chunks.decodes(model, chunk.frames)  # what all threads share is made here
-        chunk.payload  # noqa: B018 - read from the file here
+    for frames in sorted({chunk.frames for chunk in chunks}):
+        compiled_chunks.decodes(model, frames)  # what all threads share is made here
+    for chunk in chunks[:1]:
+        chunk.payload  # noqa: B018 - a remote file sends all chunks with the first
 
     def attempt(chunk: Chunk) -> bool:
         return compiled_chunks.decodes(model, chunk.frames) and _decode_compiled(model, chunk, out, start, up)
@@ -56,6 +58,7 @@ def decode_into(model: Model, chunks: Sequence[Chunk], out: Floats, start: int, 
     for batch in progress.over(list(batches(rest, model.points, BATCH))):
         for chunk, decoded in zip(batch, _decode_by_numpy(model, batch), strict=True):
             _put(chunk, heading.from_y_up(decoded, up), out, start)
+    return not rest and not any(chunk.payload[0] & GAPPED for chunk in chunks)
 
 
 def _require_usual_lengths(model: Model, chunks: Sequence[Chunk]) -> None:

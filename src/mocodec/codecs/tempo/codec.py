@@ -314,8 +314,8 @@ class Tempo:
         model = header.read_model(like)
         start, stop = encoded.range(frames)
         positions = np.empty((stop - start, like.points, 3))
-        chunk_decoding.decode_into(model, encoded.covering(start, stop), positions, start, like.up)
-        return restore(encoded, positions, start)
+        are_finite = chunk_decoding.decode_into(model, encoded.covering(start, stop), positions, start, like.up)
+        return restore(encoded, positions, start, are_valid=are_finite)
 
     def first_step(self, motion: Motion) -> int:
         """About the step that the target needs, log₂ in 1/32 octave."""

@@ -111,10 +111,8 @@ def _is_supported(model: Model, frames: int) -> bool:
 
 def _of_length(model: Model, frames: int) -> Any:
     """Codes chunks of this length; None where the module does not."""
-    if not _is_supported(model, frames):
-        return None
-    found = model.compiled.get(frames)
-    if found is None:
+    found = model.compiled.get(frames) if frames > 0 and native.kernel("ChunkCodec") is not None else None
+    if found is None and _is_supported(model, frames):
         if len(model.compiled) > MOST_LENGTHS:
             kept = {key: model.compiled[key] for key in (MODEL, ENCODES) if key in model.compiled}
             model.compiled.clear()

@@ -269,5 +269,6 @@ def _to_mean(codec: Hou2014, motion: Motion, smooth: Floats, wanted: float) -> E
         mean = metrics.mean_distance(motion.positions, Hou2014.decode(encoded).positions)
         if 1 - MEAN_WITHIN <= mean / wanted <= 1:
             return encoded
-        bound *= MEAN_AIM * wanted / max(mean, 0.1 * wanted)
+        # the stored bound is a float32: last bits of a mean differ between NumPy and the compiled module
+        bound = float(np.float32(bound * MEAN_AIM * wanted / max(mean, 0.1 * wanted)))
     return None

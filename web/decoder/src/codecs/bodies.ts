@@ -41,7 +41,7 @@ export interface PoseDecoder {
 /** The decoder of the poses of `lien2006` or `bodycast`. */
 export function poseDecoder(codec: "lien2006" | "bodycast", shared: Uint8Array[]): PoseDecoder {
   if (codec === "bodycast") return new Bodycast(shared);
-  check(shared.length === 1, "lien2006: another number of shared blobs");
+  check(shared.length === 1, "lien2006: a wrong number of shared blobs");
   return new Lien2006(shared[0]!);
 }
 
@@ -54,7 +54,7 @@ export function readBody(part: Bytes): Body {
   const nameBytes = part.varint();
   const tableBytes = part.varint();
   const names = text(inflateZlib(part.take(nameBytes), MOST_NAME_BYTES)).split("\n");
-  check(names.length === links, `${part.what}: another number of names`);
+  check(names.length === links, `${part.what}: a wrong number of names`);
   const table = readIntegers(part.take(tableBytes), links, 8);
   const body: Body = { names, parents: [], origins: [], tips: [], radii: [] };
   for (let l = 0; l < links; l++) {

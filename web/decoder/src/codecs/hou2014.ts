@@ -86,7 +86,7 @@ class Hou2014 implements ChunkDecoder {
     const columns = part.varintWithin(0, 3 * points, "the columns of a transform");
     if (form === 2) {
       const bytes = part.rest();
-      check(bytes.length === 6 * points * columns, "hou2014: a transform of another size");
+      check(bytes.length === 6 * points * columns, "hou2014: a transform of a wrong size");
       const view = new DataView(bytes.buffer, bytes.byteOffset, bytes.length);
       return { columns, values: Float64Array.from({ length: 3 * points * columns }, (_, i) => view.getInt16(2 * i, true) / 32768) };
     }

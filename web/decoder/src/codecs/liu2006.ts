@@ -67,7 +67,7 @@ class Liu2006 implements ChunkDecoder {
     this.markers = readPoints(part, points);
     const feet = readPoints(part, points);
     check(new Set([...this.markers, ...feet]).size === this.markers.length + feet.length, "liu2006: a point that occurs twice");
-    check(this.markers.length === 3 || this.markers.length === points, "liu2006: another number of normalisation markers");
+    check(this.markers.length === 3 || this.markers.length === points, "liu2006: a wrong number of normalisation markers");
     const named = new Set([...this.markers, ...feet]);
     const others = Array.from({ length: points }, (_, p) => p).filter((p) => !named.has(p));
     this.groups = [feet, others].filter((group) => group.length > 0);

@@ -33,7 +33,7 @@ export class Lossless implements ChunkDecoder {
     this.scale = (part.byte() << 24) >> 24;
     part.uint32();
     part.end();
-    if (facts.rotations) check(facts.shared.length === 2 && facts.shared[1]!.length === 1 && facts.shared[1]![0] === 1, "lossless: rotations of another form");
+    if (facts.rotations) check(facts.shared.length === 2 && facts.shared[1]!.length === 1 && facts.shared[1]![0] === 1, "lossless: rotations of an unknown form");
     else check(facts.shared.length === 1, "lossless: too many shared blobs");
   }
 
@@ -163,7 +163,7 @@ function doubles(words: Float64Array, frames: number, channels: number): Float64
 function readRotations(data: Uint8Array, frames: number, joints: number): Float64Array {
   const numbers = 4 * joints * frames;
   const bytes = inflateZlib(data, 8 * numbers);
-  check(bytes.length === 8 * numbers, "lossless: rotations of another size");
+  check(bytes.length === 8 * numbers, "lossless: rotations of a wrong size");
   const out = new Uint8Array(8 * numbers);
   const lanes = 4 * joints;
   for (let digit = 0; digit < 8; digit++) {

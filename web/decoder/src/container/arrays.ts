@@ -45,7 +45,7 @@ function repeated(item: Uint8Array, size: number): Uint8Array {
 
 function decompressed(data: Uint8Array, coder: number, size: number): Uint8Array {
   const bytes = coder === 0 ? data : coder === 1 ? inflate(data, size) : inflateLzma2(data, size);
-  check(bytes.length === size, "extras: an array of another size");
+  check(bytes.length === size, "extras: an array of a wrong size");
   return bytes;
 }
 

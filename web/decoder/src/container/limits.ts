@@ -72,7 +72,7 @@ function within1(value: number, most: number): number {
 }
 
 function floats(data: Uint8Array, count: number): Float64Array {
-  check(data.length === 8 * count, "joint limits: another number of floats");
+  check(data.length === 8 * count, "joint limits: a wrong number of floats");
   const part = new Bytes(data, "joint limits");
   return Float64Array.from({ length: count }, () => part.float64());
 }

@@ -52,8 +52,8 @@ function numbered(part: Bytes, count: number): string[] {
 function joined(part: Bytes, count: number): string[] {
   const size = part.varintWithin(0, MOST_TEXT_BYTES, "the size of names");
   const bytes = inflate(part.blob(), size, nameDictionary());
-  check(bytes.length === size, `${part.what}: names of another size`);
+  check(bytes.length === size, `${part.what}: names of a wrong size`);
   const names = text(bytes).split("\n");
-  check(names.length === count, `${part.what}: another number of names`);
+  check(names.length === count, `${part.what}: a wrong number of names`);
   return names;
 }

@@ -58,7 +58,7 @@ export function treeStream(part: Bytes, labWords?: Uint8Array): Uint8Array {
   check(head !== LAB_WORDS || labWords !== undefined, `${part.what}: a dictionary that only extras have`);
   const dictionary = head === LAB_WORDS ? Uint8Array.from([...labWords!, ...valueDictionary()]) : valueDictionary();
   const bytes = inflate(part.blob(), size, dictionary);
-  check(bytes.length === size, `${part.what}: a tree of another size`);
+  check(bytes.length === size, `${part.what}: a tree of a wrong size`);
   return bytes;
 }
 
@@ -151,7 +151,7 @@ export class TreeReader {
     const rate = this.value();
     const labels = this.value();
     const units = this.value();
-    check(typeof rate === "number" && rate > 0 && isTexts(labels) && isTexts(units), `${this.part.what}: a signal of another form`);
+    check(typeof rate === "number" && rate > 0 && isTexts(labels) && isTexts(units), `${this.part.what}: a signal of an unknown form`);
     if (kind === 12) {
       const samples = this.value();
       check(samples instanceof StoredArray, `${this.part.what}: a signal without samples`);

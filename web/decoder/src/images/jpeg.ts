@@ -47,7 +47,7 @@ interface Component {
 /** Decodes a JPEG. most: limit of pixels. Throws Corrupt, and Unsupported for other kinds of JPEG. */
 export function readJpeg(data: Uint8Array, most: number): Colours {
   const part = new Bytes(data, "JPEG");
-  check(part.byte() === 0xff && part.byte() === 0xd8, "JPEG: another signature");
+  check(part.byte() === 0xff && part.byte() === 0xd8, "JPEG: a wrong signature");
   const tables: Uint16Array[] = [];
   const codes: Huffman[] = [];
   let frame: { width: number; height: number; components: Map<number, Component> } | undefined;
@@ -122,7 +122,7 @@ function readFrame(segment: Bytes, most: number): { width: number; height: numbe
   });
   const [across, down] = [raw[0]!.across, raw[0]!.down];
   const isKnown = (a: number, d: number) => (a === across || 2 * a === across) && (d === down || 2 * d === down) && a > 0 && d > 0;
-  if (!raw.every((own) => isKnown(own.across, own.down)) || across > 2 || down > 2) throw new Unsupported("a JPEG with another subsampling");
+  if (!raw.every((own) => isKnown(own.across, own.down)) || across > 2 || down > 2) throw new Unsupported("a JPEG with an unsupported subsampling");
   const units = { across: Math.ceil(width / (8 * across)), down: Math.ceil(height / (8 * down)) };
   const components = new Map<number, Component>();
   for (const own of raw) {
@@ -139,7 +139,7 @@ function readScan(segment: Bytes, components: Map<number, Component>): Component
   if (segment.byte() !== 3) throw new Unsupported("a JPEG with several scans");
   return [0, 1, 2].map(() => {
     const component = components.get(segment.byte());
-    check(component !== undefined, "JPEG: a scan of another component");
+    check(component !== undefined, "JPEG: a scan of an unknown component");
     const about = segment.byte();
     component.codes = [about >> 4, about & 15];
     return component;

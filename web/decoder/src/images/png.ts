@@ -19,7 +19,7 @@ export interface Values {
 /** Decodes a PNG. most: limit of pixels. Throws Corrupt, and Unsupported for colours, 16 bits and interlaced pictures. */
 export function readPng(data: Uint8Array, most: number): Values {
   const part = new Bytes(data, "PNG");
-  check(SIGNATURE.every((byte) => byte === part.byte()), "PNG: another signature");
+  check(SIGNATURE.every((byte) => byte === part.byte()), "PNG: a wrong signature");
   let header: { width: number; height: number; bits: number; kind: number } | undefined;
   const parts: Uint8Array[] = [];
   for (;;) {
@@ -30,7 +30,7 @@ export function readPng(data: Uint8Array, most: number): Values {
     if (name === "IHDR") {
       check(size === 13, "PNG: its header");
       header = { width: big(content), height: big(content.subarray(4)), bits: content[8]!, kind: content[9]! };
-      if (content[12] || (header.kind !== GREY && header.kind !== PALETTE) || header.bits > 8) throw new Unsupported("a PNG of another kind");
+      if (content[12] || (header.kind !== GREY && header.kind !== PALETTE) || header.bits > 8) throw new Unsupported("a PNG of an unsupported kind");
     } else if (name === "IDAT") parts.push(content);
     else if (name === "IEND") break;
   }

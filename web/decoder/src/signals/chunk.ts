@@ -90,7 +90,7 @@ function readRecord(part: Bytes, form: Form, type: ItemType, samples: number, be
   };
   if (flags === ITEMS) {
     record.items = inflateLzma2(part.blob(), samples * type.width);
-    check(record.items.length === samples * type.width, "signals: items of another size");
+    check(record.items.length === samples * type.width, "signals: items of a wrong size");
     return { record, removed: false };
   }
   const removed = (flags & REMOVED) !== 0;
@@ -121,7 +121,7 @@ function readRemoved(part: Bytes, flags: number, record: Record, type: ItemType,
     for (let i = 0; i < count; i++) record.special.set(item, i * type.width);
   } else {
     record.special = inflate(part.blob(), count * type.width);
-    check(record.special.length === count * type.width, "signals: special items of another size");
+    check(record.special.length === count * type.width, "signals: special items of a wrong size");
   }
 }
 

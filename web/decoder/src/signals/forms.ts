@@ -58,7 +58,7 @@ function readForm(part: Bytes, type: ItemType): Form {
 function readPalette(part: Bytes, type: ItemType): { count: number; items: Uint8Array } {
   const count = part.varintWithin(2, MOST_PALETTE, "the entries of a palette");
   const lengths = inflate(part.blob(), count);
-  check(lengths.length === count, "signals: a palette of another size");
+  check(lengths.length === count, "signals: a palette of a wrong size");
   const width = 8 * type.width;
   let bitCount = 0;
   for (const length of lengths) {

@@ -121,7 +121,7 @@ class Tables {
 /** Reads the residuals of a lane, integers. */
 export function readLane(part: Bytes, count: number): Float64Array {
   const start = part.byte();
-  check(start < START_CODES, "signals: a lane of another start");
+  check(start < START_CODES, "signals: a lane with an unknown start");
   const state = part.uint32();
   check(state >= 65536, "signals: a state that is too small");
   const tables = new Tables(state, part.take(2 * part.varint()));

@@ -55,7 +55,7 @@ export function readHead(part: Bytes, signal: CodedSignal): { head: Head; bytes:
   const samples = signal.shape[0]!;
   const length = part.varintWithin(0, MOST_CHUNK_BYTES, "the length of a head");
   const fields = new Bytes(inflate(part.blob(), length), "signals");
-  check(fields.data.length === length && channels <= length, "signals: a head of another size");
+  check(fields.data.length === length && channels <= length, "signals: a head of a wrong size");
   const chunkSamples = fields.varintWithin(1, Math.min(MOST_CHUNK_SAMPLES, samples), "the samples of a chunk");
   check(chunkSamples * channels * type.width <= MOST_CHUNK_BYTES, "signals: a chunk that is too large");
   const forms = readForms(fields, type, channels);

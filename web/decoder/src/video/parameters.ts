@@ -114,7 +114,7 @@ export function readSequence(bits: Fields): Sequence {
   unless(bits.number(3) > 0, "layers");
   bits.number(1 + 96);
   bits.unsigned(15);
-  unless(bits.unsigned(3) !== 3, "another format than 4:4:4");
+  unless(bits.unsigned(3) !== 3, "a format other than 4:4:4");
   unless(bits.flag(), "separate colour planes");
   const [width, height] = [bits.unsigned(MOST_SIZE), bits.unsigned(MOST_SIZE)];
   const edge = () => bits.unsigned(MOST_SIZE);

@@ -36,7 +36,7 @@ export class VideoDecoder {
     });
     const used = kept.filter(({ isUsed }) => isUsed).map(({ picture }) => picture!);
     check(!prediction || used.length > 0, "picture: no reference");
-    check(used.every(({ motion }) => motion.width === width && motion.height === height), "picture: its references have another size");
+    check(used.every(({ motion }) => motion.width === width && motion.height === height), "picture: its references have a wrong size");
     const references = Array.from({ length: prediction?.listed ?? 0 }, (_, i) => used[i % used.length]!);
     const decoded = new PictureDecoder(parameters, slice, order, references).decode();
     this.pictures = [decoded, ...kept.flatMap(({ picture }) => picture ?? [])];

@@ -57,7 +57,9 @@ def frames_and_coordinates(tree: BoneTree, pose: Floats, tilts: Floats, hubs: Fl
             pair = offsets[:, hub.pair]
             if hub.reference is not None:
                 pair = rotations.into(hub.home, rotations.into(frames[:, :, hub.reference], pair))
-            hubs[:, hub.number] = rotations.vector_of(rotations.frame_of_pair(pair) @ hub.pair_frame.T)
+            hubs[:, hub.number] = rotations.vector_of(
+                rotations.relative_to(rotations.frame_of_pair(pair), hub.pair_frame)
+            )
             frames[:, :, hub.slot] = rotations.frames_of(hubs[:, hub.number])
             hub.to_body(frames)
         if level.points:

@@ -21,6 +21,22 @@ AXES = np.eye(3)
 _SINE_TERMS = tuple(1 / math.factorial(2 * k + 1) for k in range(8))
 _COSINE_TERMS = tuple(1 / math.factorial(2 * k) for k in range(9))
 
+_ARCTAN_NUMERATOR = (
+    -8.750608600031904122785e-1,
+    -1.615753718733365076637e1,
+    -7.500855792314704667340e1,
+    -1.228866684490136173410e2,
+    -6.485021904942025371773e1,
+)
+_ARCTAN_DENOMINATOR = (
+    2.485846490142306297962e1,
+    1.650270098316988542046e2,
+    4.328810604912902668951e2,
+    4.853903996359136964868e2,
+    1.945506571482613964425e2,
+)
+"""(arctan t − t) / t up to tan(π / 8) is a fraction in t² (Cephes, atan.c)."""
+
 
 class SinCos(NamedTuple):
     """sin a / a, cos a and (1 − cos a) / a² of angles a, each in the shape of the angles."""
@@ -65,8 +81,27 @@ def _series(x: Floats, terms: Sequence[float]) -> Floats:
 
 
 def squared_length(vectors: Floats) -> Floats:
-    """Squared length of vectors (n, …)."""
-    return np.einsum("n...,n...->...", vectors, vectors)
+    """Of vectors (n, …), summed from the first coordinate on: `einsum` may fuse multiplications and additions."""
+    out = vectors[0] * vectors[0]
+    for coordinate in vectors[1:]:
+        out += coordinate * coordinate
+    return out
+
+
+def angle_of(y: Floats, squared_y: Floats, x: Floats) -> Floats:
+    """arctan2(y, x) for y ≥ 0, with the bits of the compiled module: bases are fitted to coordinates (rotations4.h)."""
+    half = y / np.maximum(np.sqrt(x * x + squared_y) + np.abs(x), 1e-300)
+    t = half / (np.sqrt(half * half + 1) + 1)
+    z = t * t
+    p, q = z * _ARCTAN_NUMERATOR[0], z + _ARCTAN_DENOMINATOR[0]
+    for term in _ARCTAN_NUMERATOR[1:]:
+        p += term
+        p *= z
+    for term in _ARCTAN_DENOMINATOR[1:]:
+        q *= z
+        q += term
+    angle = (t + t * (p / q)) * 4
+    return np.where(x < 0, np.pi - angle, angle)
 
 
 def tilted_directions(rest: Floats, tilts: Floats, trig: SinCos, out: Floats) -> None:
@@ -124,8 +159,9 @@ def out_of(frames: Floats, vectors: Floats) -> Floats:
 
 def tilt_to(directions: Floats) -> Floats:
     """Tilts (2, …) that take the third axis to directions (3, …) of any length: the sphere's logarithm."""
-    horizontal = np.sqrt(directions[0] ** 2 + directions[1] ** 2)
-    return directions[:2] * _ratio(np.arctan2(horizontal, directions[2]), horizontal, 0.0)
+    squared = squared_length(directions[:2])
+    horizontal = np.sqrt(squared)
+    return directions[:2] * _ratio(angle_of(horizontal, squared, directions[2]), horizontal, 0.0)
 
 
 def unwrapped(vectors: Floats) -> Floats:
@@ -145,6 +181,14 @@ def frame_of_pair(pair: Floats) -> Floats:
     first, second = a + b, a - b
     third = cross(first, second)
     return np.stack([unit(first), unit(second), unit(third)], axis=-1).swapaxes(0, 1)
+
+
+def relative_to(matrices: Floats, frame: Floats) -> Floats:
+    """matrices (frames, 3, 3) · frameᵀ, from the first axis to the last, as the compiled module adds."""
+    out = matrices[:, :, :1] * frame[:, 0]
+    out += matrices[:, :, 1:2] * frame[:, 1]
+    out += matrices[:, :, 2:] * frame[:, 2]
+    return out
 
 
 def frame_along(direction: Floats) -> Floats:
@@ -201,8 +245,9 @@ def vector_of(matrices: Floats) -> Floats:
         q[1 + b, here] = part[:, b, a] + part[:, a, b]
         q[1 + c, here] = part[:, c, a] + part[:, a, c]
     q *= np.where(q[0] < 0, -1.0, 1.0)
-    size = np.sqrt((q[1:] ** 2).sum(axis=0))
-    return q[1:] * _ratio(2 * np.arctan2(size, q[0]), size, 0.0)
+    squared = squared_length(q[1:])
+    size = np.sqrt(squared)
+    return q[1:] * _ratio(2 * angle_of(size, squared, q[0]), size, 0.0)
 
 
 def _ratio(a: Floats, b: Floats, otherwise: float) -> Floats:

@@ -104,7 +104,7 @@ export type Planes = [Uint8Array, Uint8Array, Uint8Array];
 /** The three planes (2 · height, width) of the next picture of a video. Throws Corrupt, Unsupported. */
 export function nextPlanes({ height, width }: Atlas, video: VideoDecoder, packet: Uint8Array): Planes {
   const picture = video.decode(packet);
-  check(picture.width === width && picture.height === 2 * height, "bodycast: a picture has another size");
+  check(picture.width === width && picture.height === 2 * height, "bodycast: a picture has a wrong size");
   return picture.planes;
 }
 

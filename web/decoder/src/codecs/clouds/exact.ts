@@ -57,7 +57,7 @@ export function readGrid(part: Bytes): Grid {
   const kind = part.varintWithin(FLOATS, DECIMAL_STEP, "the kind");
   const nanometres = part.varint();
   const exponent = part.foldedWithin(-MOST_EXPONENT, MOST_EXPONENT, "the exponent");
-  check(kind !== FLOATS || exponent === FLOAT_EXPONENT, "bodycast: exact points have another exponent");
+  check(kind !== FLOATS || exponent === FLOAT_EXPONENT, "bodycast: exact points have a wrong exponent");
   return { kind, nanometres, exponent, spacing: part.varintWithin(1, MOST_CELL - 1, "the spacing") };
 }
 

@@ -43,7 +43,7 @@ export class LienPoints {
 
   /** Throws Corrupt. */
   constructor(shared: Uint8Array[]) {
-    check(shared.length === 1, "lien2006: another number of shared blobs");
+    check(shared.length === 1, "lien2006: a wrong number of shared blobs");
     const part = new Bytes(shared[0]!, "lien2006");
     const body = readBody(part);
     const residual = part.varintWithin(0, MOST_RESIDUAL, "the share of the maps");
@@ -51,7 +51,7 @@ export class LienPoints {
     const count = part.varintWithin(1, MOST_POINTS, "the number of points");
     const starts = [0];
     for (let l = 0; l < body.parents.length; l++) starts.push(starts[l]! + part.varint());
-    check(starts.at(-1) === count, "lien2006: another number of points");
+    check(starts.at(-1) === count, "lien2006: a wrong number of points");
     const isColoured = (flags & COLOURED) > 0;
     this.template = { body, ...readPoints(part.rest(), count, isColoured), starts };
     this.byCell = (flags & DEPTH_BY_CELL) > 0;
@@ -89,15 +89,15 @@ export class LienPoints {
     const most = Math.max(1, Math.min(Math.floor(MOST_ROWS / height), Math.floor(MOST_PIXELS / size)));
     const groups = Math.ceil(frames / most);
     const isColoured = this.template.colours !== null;
-    check(images.length === groups * (isColoured ? 2 : 1), "lien2006: another number of images");
+    check(images.length === groups * (isColoured ? 2 : 1), "lien2006: a wrong number of images");
     const out: Residual[] = [];
     for (let group = 0; group < groups; group++) {
       const count = Math.min(most, frames - group * most);
       const depth = readPng(images[group]!, size * count);
-      check(depth.isPalette === this.byCell, "lien2006: an image of another kind");
-      check(this.byCell ? depth.height === height && depth.width === width * count : depth.height === height * count && depth.width === width, "lien2006: an image has another size");
+      check(depth.isPalette === this.byCell, "lien2006: an image of a wrong kind");
+      check(this.byCell ? depth.height === height && depth.width === width * count : depth.height === height * count && depth.width === width, "lien2006: an image has a wrong size");
       const colour = isColoured ? readJpeg(images[groups + group]!, size * count) : null;
-      check(!colour || (colour.height === height * count && colour.width === width), "lien2006: an image has another size");
+      check(!colour || (colour.height === height * count && colour.width === width), "lien2006: an image has a wrong size");
       for (let k = 0; k < count; k++) {
         const own: Residual = { depth: new Uint8Array(size), colour: colour && new Uint8Array(3 * size) };
         for (let y = 0; y < height; y++) {

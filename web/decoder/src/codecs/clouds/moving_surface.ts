@@ -32,7 +32,7 @@ export class MovingSurface {
   *frames(placements: Placement[][], pictures: Uint8Array[], isShown: (frame: number) => boolean): Generator<Cloud | null> {
     const { interval } = this.atlas;
     const frames = placements.length;
-    check(pictures.length === 0 || pictures.length === 1 + Math.ceil(frames / interval), "bodycast: another number of pictures");
+    check(pictures.length === 0 || pictures.length === 1 + Math.ceil(frames / interval), "bodycast: a wrong number of pictures");
     let video = this.video.copy();
     if (pictures[0]?.length) {
       video = new VideoDecoder();

@@ -18,7 +18,7 @@ export function readOctree(bits: AdaptiveBits, counts: OctreeCounts, points: num
   let cubes = new Int32Array(3);
   for (let level = 0; level < stop; level++) {
     cubes = descend(cubes, readLevel(bits, counts.octants, cubes)).cubes as typeof cubes;
-    check(cubes.length > 0 && cubes.length <= 3 * points, "bodycast: an octree has another number of cubes");
+    check(cubes.length > 0 && cubes.length <= 3 * points, "bodycast: an octree has a wrong number of cubes");
   }
   const often = new Int32Array(cubes.length / 3).fill(1);
   let rows = Int32Array.from(often.keys());

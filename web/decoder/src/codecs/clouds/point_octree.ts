@@ -38,7 +38,7 @@ export function readLevels(depth: number, points: number, surface: SurfaceHints 
     samples = next.parents.map((parent) => above[parent]!) as typeof samples;
     cubes = next.cubes as typeof cubes;
   }
-  check(samples.length === points, "bodycast: an octree has another number of points");
+  check(samples.length === points, "bodycast: an octree has a wrong number of points");
   return { cells: cubes, samples };
 }
 

@@ -13,7 +13,7 @@ export function readRawFrames(data: Uint8Array, frames: number, coloured: boolea
   const total = counts.reduce((sum, count) => sum + count, 0);
   const size = (coloured ? 15 : 12) * total;
   const content = new Bytes(inflateZlib(part.rest(), size), "raw frames");
-  check(content.left === size, "raw frames have another size");
+  check(content.left === size, "raw frames have a wrong size");
   return counts.map((count) => {
     const bytes = content.take(12 * count);
     const view = new DataView(bytes.buffer, bytes.byteOffset, bytes.length);

@@ -97,7 +97,7 @@ export function sampleSurface(body: Body, atlas: Atlas, luma: Uint8Array, count:
     if (targets.length) samples.push(...samplesOfTile(body, atlas, tile, fine[i]!, luma, spacing, targets, first));
     start += fine[i]!.total;
   });
-  check(samples.length === count, "bodycast: the surface has another number of points");
+  check(samples.length === count, "bodycast: the surface has a wrong number of points");
   return samples;
 }
 

@@ -73,7 +73,7 @@ export function storedDirections(part: Bytes, prior: Prior, facts: Facts): Model
   check(prior.isOfDirections, "tempo: the model needs a prior of directions");
   const step = 2 ** (part.foldedWithin(-2000, 2000, "the step of vectors") / 32);
   const hasTree = part.byte();
-  check(hasTree <= 1, "tempo: a tree of another form");
+  check(hasTree <= 1, "tempo: a tree of an unknown form");
   const sizes = Array.from({ length: 2 + hasTree }, () => part.varint());
   let parents: number[];
   if (hasTree) {

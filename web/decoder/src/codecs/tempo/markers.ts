@@ -69,7 +69,7 @@ export function markersOnBones(part: Bytes, prior: Prior, facts: Facts): Model {
   check(prior.arrays.has("bones.names"), "tempo: a prior without bones");
   const digits = part.foldedWithin(-60, 60, "the step of the pose");
   const onBody = part.byte();
-  check(onBody <= 1, "tempo: a pose of another form");
+  check(onBody <= 1, "tempo: a pose of an unknown form");
   const scale = part.varintWithin(1, 4096, "the scale of the body");
   const levels = readLevels(part);
   const sizes = [part.varint(), part.varint(), part.varint()] as const;

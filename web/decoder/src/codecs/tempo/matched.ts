@@ -64,7 +64,7 @@ function isZero(row: Float64Array): boolean {
 function readStored(part: Bytes, digits: number, theirs: Tree, facts: Facts): Stored {
   const { points } = facts;
   const hasTree = part.byte();
-  check(hasTree <= 1, "tempo: a tree of another form");
+  check(hasTree <= 1, "tempo: a tree of an unknown form");
   const numbers = readIntegersWithin(part.blob(), points, 3, -2 * points - 64, 2 * points + 64, "tempo: joints");
   const joints: number[] = [];
   for (let p = 0; p < points; p++) {

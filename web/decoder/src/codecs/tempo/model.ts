@@ -99,7 +99,7 @@ export function statisticsOf(prior: Prior, prefix: string, components: number): 
 export function priorBases(prior: Prior): { bases: Matrix[]; statistics: Statistics } {
   const { shape, data } = prior.arrays.numbers("bases");
   const [bands, rows, columns] = shape as [number, number, number];
-  check(bands === 4, "a prior: another number of bands");
+  check(bands === 4, "a prior: a wrong number of bands");
   const bases = Array.from({ length: 4 }, (_, b) => matrix(rows, columns, data.subarray(b * rows * columns, (b + 1) * rows * columns)));
   const spreads = Int32Array.from(prior.arrays.numbers("spreads").data);
   const means = Int32Array.from(prior.arrays.numbers("means").data);

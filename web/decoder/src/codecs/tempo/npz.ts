@@ -89,7 +89,7 @@ export class Npz {
 function toNumbers({ descr, shape, data }: { descr: string; shape: number[]; data: Uint8Array }): Numbers {
   const count = shape.reduce((product, extent) => product * extent, 1);
   const width = Number(descr.slice(2));
-  check(data.length === count * width, "a prior: an array of another size");
+  check(data.length === count * width, "a prior: an array of a wrong size");
   const view = new DataView(data.buffer, data.byteOffset, data.length);
   const readers: Record<string, (at: number) => number> = {
     f2: (at) => half(view.getUint16(at, true)),

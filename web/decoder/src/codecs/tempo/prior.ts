@@ -53,7 +53,7 @@ export function loadPrior(id: string, loader: PriorLoader): Promise<Prior> {
   if (!prior) {
     prior = loader(id).then((bytes) => {
       const read = new Prior(new Npz(bytes));
-      check(read.arrays.numbers("tables").data.length === TABLES * SYMBOLS, "a prior: tables of another size");
+      check(read.arrays.numbers("tables").data.length === TABLES * SYMBOLS, "a prior: tables of a wrong size");
       return read;
     });
     priors.set(id, prior);

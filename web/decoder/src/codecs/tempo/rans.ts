@@ -20,7 +20,7 @@ export function tableOfFrequencies(frequencies: ArrayLike<number>): Table {
     symbolOf.fill(symbol, at, at + frequency[symbol]!);
     at += frequency[symbol]!;
   }
-  check(at === 4096, "a prior: frequencies of another sum");
+  check(at === 4096, "a prior: frequencies with a wrong sum");
   return { start, frequency, symbolOf };
 }
 

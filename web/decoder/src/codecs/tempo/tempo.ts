@@ -23,7 +23,7 @@ const NEIGHBOURS = 64;
 
 /** Reads the shared bytes, and loads the prior that they name. */
 export async function openTempo(facts: Facts, priors: PriorLoader): Promise<ChunkDecoder> {
-  check(facts.shared.length === (facts.rotations ? 2 : 1), "tempo: another number of shared blobs");
+  check(facts.shared.length === (facts.rotations ? 2 : 1), "tempo: a wrong number of shared blobs");
   const { decoder, millihertz } = await openPositions(facts, priors);
   if (!facts.rotations) return decoder;
   const [{ readLayer }, { WithRotations }, { loadKernels }] = await Promise.all([

@@ -89,7 +89,7 @@ export async function readLayer(data: Uint8Array, skeleton: Skeleton | undefined
   const usual = readIntegers(part.take(sizes[1]!), joints, 3);
   check(angleCount <= 3 * joints && numberCount <= 4 * joints, "tempo: more constants than the joints' rotations have");
   const angles = Array.from(readIntegers(part.take(sizes[2]!), angleCount, 1), (step) => (step / 10 ** digits) * (Math.PI / 180));
-  check(sizes[3] === 8 * numberCount, "tempo: constants of another size");
+  check(sizes[3] === 8 * numberCount, "tempo: constants of a wrong size");
   const constants = new Constants(Array.from({ length: numberCount }, () => part.float64()), angles);
   const found: JointRule[] = [];
   for (let j = 0; j < joints; j++) {
@@ -131,7 +131,7 @@ function fixedRotation(form: number, constants: Constants, skeleton: Skeleton, j
     const found = formOf(form, 0, constants, skeleton, j);
     return found.rotation(found.free.map(() => constants.angle()));
   }
-  check(form <= 1, "tempo: a constant rotation of another form");
+  check(form <= 1, "tempo: a constant rotation of an unknown form");
   const q: Quaternion = form ? [constants.float(), constants.float(), constants.float(), constants.float()] : NO_ROTATION;
   check(Math.abs(q.reduce((sum, v) => sum + v * v, 0) - 1) <= 1e-6, "tempo: a constant rotation that is not a unit quaternion");
   return q;
