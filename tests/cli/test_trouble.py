@@ -258,7 +258,6 @@ def test_an_option_of_another_codec_names_the_codecs_that_take_it(command: Comma
     ("arguments", "code", "says"),
     [
         (("decode", "walk.mocz", "-o", "again.mocz"), 2, "decode does not compress again"),
-        (("cut", "walk.trc", "--from", "10f", "-o", "part.mocz"), 2, "cut does not compress walk.trc"),
         (("info", "missing.mocz"), 3, "missing.mocz: no such file"),
         (("view", "missing"), 3, "missing: no such file or folder"),
         (("encode", "walk.trc", "-o", "missing/walk.mocz"), 3, "there is no folder"),
@@ -396,3 +395,9 @@ def test_a_signal_at_any_moment_leaves_no_trace(walk_trc: Path, number: int, aft
     assert process.returncode in (0, 128 + number, -number)  # the last as the interpreter ends
     assert b"Traceback" not in err
     assert [path.name for path in Path().iterdir() if "part" in path.name] == []
+
+
+def test_a_cut_of_another_format_into_a_mocz_says_its_bound(command: Command, walk_trc: Path) -> None:
+    result = command("cut", walk_trc, "--from", "10f", "-o", "part.mocz")
+    assert result.code == 0, result.err
+    assert "cut and encoded, promised max error 5 mm" in result.err
