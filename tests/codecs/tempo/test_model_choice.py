@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from mocodec.codecs.tempo import Tempo, compiled_chunks, model_choice
-from mocodec.codecs.tempo.models import Recording, marker_fitting
+from mocodec.codecs.tempo.models import Recording, marker_fitting, skeleton_matching
 from mocodec.codecs.tempo.preparation import chunk_bounds
 from mocodec.motion import Motion
 from mocodec.testing import synthetic
@@ -53,3 +53,16 @@ def test_markers_are_placed_on_bones_only_where_a_stored_basis_takes_much(monkey
         chunks = [c + noise[: len(c)] for c in np.array_split(motion.positions, -(-frames // 480))]
         model_choice.choose(Recording(chunks, motion, Tempo(max_error=0.001).first_step(motion)))
     assert tried == [60]
+
+
+@pytest.mark.parametrize(("share", "matched"), [(model_choice.STILL_SHARE, False), (1.0, True)])
+def test_still_points_are_not_matched_with_the_skeleton_of_the_prior(
+    share: float, matched: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    random, calls = np.random.default_rng(5), list[int]()
+    positions = random.normal(0, 0.4, (1, 80, 3)) + random.normal(0, 2e-4, (90, 80, 3))
+    motion = Motion(positions, 100.0, [f"M{i}" for i in range(80)])
+    monkeypatch.setattr(model_choice, "STILL_SHARE", share)
+    monkeypatch.setattr(skeleton_matching, "match", lambda *_: calls.append(1))
+    Tempo(max_error=0.005).encode_chunks(motion)
+    assert bool(calls) == matched

@@ -19,7 +19,7 @@ from .coding import coefficients, quantise
 from .coding.contexts import OCTAVE
 from .coding.rows import step_size
 from .header import StreamHeader
-from .models import MODELS, Recording, points, prior
+from .models import MODELS, Recording, directions, points, prior
 from .models.model import Model
 from .models.stored_basis import MOST_DIMENSIONS
 
@@ -31,6 +31,9 @@ CLEARLY = 0.85
 """One chunk decides between two models of known points where the cheaper takes less than this share of the other."""
 WORTH_PRIOR = 0.25
 """Markers are placed on the prior's bones only where the stored basis takes at least this share of the bytes."""
+STILL_POINTS, STILL_SHARE = 64, 0.5
+"""A skeleton of more points than STILL_POINTS is not matched with the prior's where the pose at rest takes more than
+STILL_SHARE of the bytes: hardly anything moves, and the prior's coefficients take more bytes than its basis saves."""
 FINER_UP_TO = 0.65
 """With very many points a stored basis in finer rounding is kept where it takes at most this share of the bytes; where
 it takes more, the coarser one is tried too. With fewer points both are tried, since trials cost little, and a
@@ -45,11 +48,12 @@ ERROR_SLOPE = 0.85
 
 @dataclass(frozen=True, eq=False)
 class Choice:
-    """spectra: coefficients of the chunks that were priced, by number."""
+    """spectra: coefficients of the chunks that were priced, by number. basis_bytes: of the stored basis."""
 
     header: StreamHeader
     model: Model
     spectra: Mapping[int, Floats] = field(default_factory=dict)
+    basis_bytes: int = 0
 
 
 def choose(
@@ -109,6 +113,8 @@ def _cheapest(recording: Recording, model: str, types: Collection[str] | None) -
         many = recording.like.points > points.MANY_POINTS  # not tried on the prior's bones beside a stored basis
         if best and on_bones and (few_bytes or many):
             continue
+        if best and name == "directions-prior" and _hardly_moves(best, least):
+            continue
         for candidate in _fitted(name, recording):
             if not recording.chunks:
                 return candidate
@@ -119,6 +125,12 @@ def _cheapest(recording: Recording, model: str, types: Collection[str] | None) -
             if many and len(candidate.header.pack()) <= FINER_UP_TO * price:
                 break
     return best
+
+
+def _hardly_moves(choice: Choice, size: float) -> bool:
+    """Whether most bytes of many points are those of the pose at rest. choice: with a stored basis; size: its bytes."""
+    at_rest = len(choice.header.pack()) - choice.basis_bytes
+    return choice.model.points > STILL_POINTS and at_rest > STILL_SHARE * size
 
 
 def _in_order_tried(names: Sequence[str]) -> list[str]:
@@ -140,8 +152,11 @@ def _fitted(name: str, recording: Recording) -> Iterator[Choice]:
     named = known_by_name(recording)
     for fitted in MODELS[name].fit(recording):
         header = StreamHeader.of_model(name, fitted)
+        own = fitted.basis if isinstance(fitted, directions.StoredDirections | points.StoredPoints) else None
+        basis_bytes = 0 if own is None else len(own.pack())
         try:
-            yield Choice(header, header.read_model(recording.like) if named else fitted.model(recording.like))
+            model = header.read_model(recording.like) if named else fitted.model(recording.like)
+            yield Choice(header, model, basis_bytes=basis_bytes)
         except Corrupt:  # numbers that a decoder would refuse
             continue
 
