@@ -6,6 +6,7 @@ import subprocess
 import sys
 import threading
 import time
+from collections.abc import Iterator
 
 import pytest
 
@@ -85,3 +86,50 @@ def test_worker_processes_use_one():
     )
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True)
     assert (done.stdout, done.stderr) == ("1\n", "")
+
+
+def _numbers(made: list[int], end: int) -> Iterator[int]:
+    for number in range(end):
+        made.append(number)
+        yield number
+
+
+def test_items_are_made_ahead_in_another_thread_in_order():
+    threads: set[str] = set()
+
+    def named() -> Iterator[int]:
+        for number in range(20):
+            threads.add(threading.current_thread().name)
+            yield number
+
+    with parallel.threads(2):
+        assert list(parallel.ahead(named())) == list(range(20))
+        assert threads == {"mocodec_ahead"}
+    threads.clear()
+    assert list(parallel.ahead(named())) == list(range(20))
+    assert threads == {threading.current_thread().name}
+
+
+def test_no_more_items_are_made_than_may_wait():
+    made: list[int] = []
+    with parallel.threads(2):
+        items = parallel.ahead(_numbers(made, 100), waiting=3)
+        assert next(items) == 0
+        time.sleep(0.05)
+        assert len(made) <= 1 + 3
+        items.close()
+    assert len(made) <= 1 + 3 + 1
+    assert not [thread for thread in threading.enumerate() if thread.name.startswith("mocodec_")]
+
+
+def test_an_error_while_items_are_made_ahead_is_raised_after_those_before_it():
+    def failing() -> Iterator[int]:
+        yield 0
+        yield 1
+        raise KeyError(2)
+
+    with parallel.threads(2):
+        items = parallel.ahead(failing())
+        assert [next(items), next(items)] == [0, 1]
+        with pytest.raises(KeyError):
+            next(items)

@@ -4,9 +4,11 @@
     with parallel.threads(None):           as many as there are processors
         parallel.over(function, items)     the results, in the order of the items
         parallel.over(function, blocks(n)) the same of slices of n frames
+        parallel.ahead(items)              the items, each made while the one before it is used
 
-Without `threads` around it, `over` works in the calling thread. MOCODEC_THREADS in the environment sets another number
-for None; processes that were started as workers of another count one, since their siblings have the other processors.
+Without `threads` around them, `over` and `ahead` work in the calling thread. MOCODEC_THREADS in the environment sets
+another number for None; processes that were started as workers of another count one, since their siblings have the
+other processors.
 """
 
 from __future__ import annotations
@@ -18,7 +20,8 @@ from collections.abc import Callable, Generator, Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from contextvars import Context, ContextVar
 from functools import partial
-from threading import Thread
+from queue import SimpleQueue
+from threading import Semaphore, Thread
 from typing import Generic, NoReturn, TypeVar
 
 from .errors import BadInput
@@ -90,6 +93,56 @@ def over(function: Callable[[Item], Result], items: Iterable[Item], least: int =
             other.join()
 
 
+def ahead(items: Iterable[Item], waiting: int = 1) -> Generator[Item, None, None]:
+    """The items in their order. Another thread makes the next ones while the caller uses one; at most `waiting` are
+    made before the caller asks for them. With one thread, each is made when it is asked for.
+    """
+    if _threads.get() < 2:
+        yield from items
+        return
+    made = _MadeAhead(items, waiting)
+    other = Thread(target=lambda: Context().run(made.work), name="mocodec_ahead")
+    other.start()
+    try:
+        yield from made.results()
+    finally:
+        made.stop()
+        other.join()
+
+
+class _MadeAhead(Generic[Item]):
+    """Items that another thread makes."""
+
+    def __init__(self, items: Iterable[Item], waiting: int) -> None:
+        self._items, self._room, self._stopped = items, Semaphore(waiting - 1), False
+        self._made: SimpleQueue[Callable[[], Item] | None] = SimpleQueue()
+
+    def work(self) -> None:
+        """Makes all items, each when there is room for it."""
+        try:
+            for item in self._items:
+                self._made.put(partial(_same, item))
+                self._room.acquire()
+                if self._stopped:
+                    return
+            self._made.put(None)
+        except BaseException as error:
+            self._made.put(partial(_raise, error))
+            if not isinstance(error, Exception):
+                raise
+
+    def results(self) -> Iterator[Item]:
+        """The items as they are made; an exception of the thread that makes them."""
+        while (result := self._made.get()) is not None:
+            self._room.release()
+            yield result()
+
+    def stop(self) -> None:
+        """No item is made any more but the one that is being made."""
+        self._stopped = True
+        self._room.release()
+
+
 class _Shared(Generic[Item, Result]):
     """Items that several threads work on. done: by number of item, what returns its result or raises its exception."""
 
@@ -119,6 +172,10 @@ class _Shared(Generic[Item, Result]):
         else:
             self.done[number] = lambda: result
         return True
+
+
+def _same(item: Item) -> Item:
+    return item
 
 
 def _raise(error: BaseException) -> NoReturn:

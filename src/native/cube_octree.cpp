@@ -4,16 +4,17 @@
 //           ▲ centre of its children ◄────────────────────────────────────────────────────────────────┘
 
 #include <cstring>
+#include <optional>
 
+#include "near_cubes.h"
 #include "octree_coding.h"
 
 namespace {
 
 using namespace point_octree;
 
-constexpr int CUBES_OF_SAMPLE = 4;
 constexpr int64_t LARGEST_SPACING = 1 << 16, LARGEST_DISTANCE = 1 << 25, LARGEST_DEVIATION = 1 << 20;
-constexpr int64_t SAMPLE_WEIGHT = 5120, USUAL_WEIGHT = 1024, LEAST_VARIANCE = 16;
+constexpr int64_t USUAL_WEIGHT = 1024, LEAST_VARIANCE = 16;
 constexpr int64_t DENSITY = 1634, LARGEST_DENSITY = 1 << 24, MOST_EXPECTED = 1 << 19, TWO = 2 << 16;
 constexpr int64_t BEYOND = int64_t(1) << 40;  // all classes and weights are equal beyond this distance
 constexpr int LEAST_ODDS = 16;
@@ -82,8 +83,9 @@ struct Expected {
 // Estimates the surface within the cubes of a level. Lengths are in subunits.
 class Passage {
 public:
-    Passage(const Surface &surface, const Cubes &cubes, int level, size_t points, const int32_t *bell)
-        : surface_(surface), cubes_(cubes), bell_(bell), side_(surface.child_size(level)),
+    // near: of the surface, for the levels of a frame one after the other.
+    Passage(const Surface &surface, const Cubes &cubes, NearCubes &near, int level, size_t points, const int32_t *bell)
+        : surface_(surface), cubes_(cubes), near_(near), bell_(bell), side_(surface.child_size(level)),
           side_bits_(surface.child_bits(level)), spacing_(std::min(surface.spacing(), LARGEST_SPACING)),
           far_(cubes.size(), 0), shown_by_(cubes.size(), NOWHERE), samples_(cubes.size()) {
         int64_t known = 0, sum = 0;
@@ -99,8 +101,8 @@ public:
             const int64_t across = side_ * 256 / spacing_;
             const int64_t samples = int64_t(surface.size());
             density_ = std::min(int64_t(points) * DENSITY * across * across / (samples * 16), LARGEST_DENSITY);
-            find_shown();
             fill_tables();
+            find_shown();
         }
         if (2 * side_ > surface.spacing())
             classify_samples(surface, cubes.codes, level, [&](size_t i, size_t octant, uint8_t kind) { samples_[i][octant] = kind; });
@@ -140,6 +142,8 @@ public:
         shown.children = bits_of(known);
         for (size_t d = 0; d < 3; ++d)
             shown.place[d] = corner_of(cubes_.places[i][d]) + share_[size_t(shown.children)][size_t(bits_of(known & UPPER[d]))];
+        const size_t sample = size_t(cubes_.nearest[i]);
+        near_.put(sample, size_t(row - first_shown_[sample]), shown.place, least_[size_t(shown.children)]);
     }
 
     int samples(size_t i, int octant) const { return samples_[i][size_t(octant)]; }
@@ -167,16 +171,19 @@ private:
         for (size_t i = 0; i < cubes_.size(); ++i)
             if (cubes_.nearest[i] >= 0) rows[size_t(next[size_t(cubes_.nearest[i])]++)] = int32_t(i);
         first_shown_.assign(surface_.size() + 1, 0);
-        shown_.reserve(rows.size());
+        for (size_t s = 0; s < surface_.size(); ++s)
+            first_shown_[s + 1] = first_shown_[s] + std::min(first[s + 1] - first[s], CUBES_OF_SAMPLE);
+        near_.start_level(side_, spacing_);
+        shown_.reserve(size_t(first_shown_.back()));
         for (size_t s = 0; s < surface_.size(); ++s) {
-            const int32_t count = first[s + 1] - first[s], kept = std::min(count, CUBES_OF_SAMPLE);
+            const int32_t count = first[s + 1] - first[s], kept = first_shown_[s + 1] - first_shown_[s];
             for (int32_t k = 0; k < kept; ++k) {
                 const size_t i = size_t(rows[size_t(first[s] + int64_t(k) * count / kept)]);
                 const Place at = centre(i);
                 shown_by_[i] = int32_t(shown_.size());
                 shown_.push_back({{int32_t(at[0]), int32_t(at[1]), int32_t(at[2])}, 0, surface_.normal(int32_t(s))});
+                near_.add(s, shown_.back().place, least_[0]);
             }
-            first_shown_[s + 1] = int32_t(shown_.size());
         }
     }
 
@@ -207,6 +214,16 @@ private:
 
     // Distance from the plane of cube i's sample to the estimated surface, and its variance.
     void find_surface(size_t i, int64_t &offset, int64_t &variance) const {
+        SurfaceAround around;
+        if (!near_.find(cubes_.nearest[i], centre(i), far_[i], around)) around = distant_surface(i);
+        offset = around.offset;
+        const int64_t spread = USUAL_WEIGHT * usual_ + around.spread;
+        const int64_t deviation = std::min(floor_quotient(spread, around.total + USUAL_WEIGHT), LARGEST_DEVIATION);
+        variance = std::max((166 * deviation * deviation >> 8) - 4 * side_ * side_ / 20, LEAST_VARIANCE);
+    }
+
+    // What is around cube i, wherever that lies.
+    SurfaceAround distant_surface(size_t i) const {
         constexpr int MOST = (NEIGHBOURS + 1) * CUBES_OF_SAMPLE;
         int32_t rows[MOST + CUBES_OF_SAMPLE];
         const int32_t own = cubes_.nearest[i];
@@ -226,15 +243,14 @@ private:
         const double above = double(spacing_ * spacing_ << 16);  // below 2^49, so float quotients are exact enough
         int32_t weights[MOST];
         for (int n = 0; n < count; ++n) weights[n] = int32_t(above / below[n]);
-        int64_t total = 0, sum = 0, spread = USUAL_WEIGHT * usual_;
+        int64_t total = 0, sum = 0, spread = 0;
         for (int n = 0; n < count; ++n) {
             total += weights[n];
             sum += weights[n] * away[n];
         }
-        offset = floor_quotient(sum, total + SAMPLE_WEIGHT);
+        const int64_t offset = floor_quotient(sum, total + SAMPLE_WEIGHT);
         for (int n = 0; n < count; ++n) spread += weights[n] * std::abs(away[n] - offset);
-        const int64_t deviation = std::min(floor_quotient(spread, total + USUAL_WEIGHT), LARGEST_DEVIATION);
-        variance = std::max((166 * deviation * deviation >> 8) - 4 * side_ * side_ / 20, LEAST_VARIANCE);
+        return {total, offset, spread};
     }
 
     // The distances of the children from the surface, at most BEYOND.
@@ -302,6 +318,7 @@ private:
 
     const Surface &surface_;
     const Cubes &cubes_;
+    NearCubes &near_;
     const int32_t *bell_;
     const int64_t side_;
     const int side_bits_;
@@ -317,7 +334,9 @@ private:
 
 class Tree {
 public:
-    Tree(int depth, const Surface *surface, const int32_t *bell) : depth_(depth), surface_(surface), bell_(bell) {}
+    Tree(int depth, const Surface *surface, const int32_t *bell) : depth_(depth), surface_(surface), bell_(bell) {
+        if (surface) near_.emplace(*surface);
+    }
 
     // Codes a frame. codes: of the points, null in the decoder. Returns whether the bytes are a tree of `points`
     // points; if not, `failed_level` and `failed_cubes` say where.
@@ -363,7 +382,7 @@ private:
             return;
         }
         surface_->attach(cubes_.places, level, cubes_.nearest);
-        Passage passage(*surface_, cubes_, level, points, bell_);
+        Passage passage(*surface_, cubes_, *near_, level, points, bell_);
         for (size_t i = 0; i < cubes_.size(); ++i) {
             const bool is_near = cubes_.nearest[i] >= 0;
             if (is_near)
@@ -450,6 +469,7 @@ private:
     const int depth_;
     const Surface *surface_;
     const int32_t *bell_;
+    std::optional<NearCubes> near_;
     Cubes cubes_;
 };
 

@@ -8,10 +8,11 @@
 //   bone_coordinates.cpp  inverse of bone_directions.cpp, for the same module; rotations4.h serves both
 //   bit_arrays.cpp  arrays of bits with the adaptive coder of adaptive_bits.h, for entropy/bit_arrays.py
 //   point_octree.cpp      octree of lattice points, for codecs/bodycast/point_octree.py; octree_surface.h has the surface
-//   cube_octree.cpp       octree cube by cube, for codecs/bodycast/cube_octree.py; octree_coding.h serves both octrees
-//   point_smoothing.cpp   moves lattice points to the surface, for codecs/bodycast/point_smoothing.py
+//   cube_octree.cpp       octree cube by cube, for codecs/bodycast/cube_octree.py; octree_coding.h serves both octrees,
+//                   near_cubes.h compares cubes
+//   point_smoothing.cpp   moves lattice points to the surface, for codecs/bodycast/point_smoothing.py; point_moves.h finds the moves
 //   lattice_frames.cpp    points on a lattice, for codecs/bodycast/lattice_frames.py, lattice.py and octree.py
-//   point_choice.cpp      choice of lattice points, for codecs/bodycast/point_choice.py
+//   point_choice.cpp      choice of lattice points, for codecs/bodycast/point_choice.py; key_order.h sorts codes
 //   point_colours.cpp     colours of lattice points, for codecs/bodycast/surface_memory.py and colour_lifting.py
 //   surface_memory.cpp    the bodies' surface over frames, for codecs/bodycast/integer_surface.py and surface_memory.py
 //   reference_surface.cpp surface of points, for codecs/bodycast/reference_surface.py; nearest_others.h finds neighbours

@@ -101,6 +101,13 @@ struct OctreeFunctions {
         return Tree(depth, surface, bell.data());
     }
 
+    // Without the interpreter, so that other threads can work.
+    template <class Coder>
+    static bool code_alone(Tree &tree, Coder &coder, const uint64_t *codes, size_t points) {
+        nb::gil_scoped_release release;
+        return tree.code(coder, codes, points);
+    }
+
     static Output<int64_t> samples_of(const Tree &tree, const Surface *surface) {
         const std::vector<int32_t> &nearest = tree.points().nearest;
         Fresh<int64_t> rows(nearest.size());
@@ -114,7 +121,7 @@ struct OctreeFunctions {
         Tree tree = tree_of(depth, surface, bell);
         for (size_t i = 1; i < codes.shape(0); ++i)
             if (codes.data()[i] <= codes.data()[i - 1]) throw std::invalid_argument("octree: the codes are not sorted");
-        if (!tree.code(coder, codes.data(), codes.shape(0)) || tree.points().size() != codes.shape(0))
+        if (!code_alone(tree, coder, codes.data(), codes.shape(0)) || tree.points().size() != codes.shape(0))
             throw std::invalid_argument("octree: the codes are not lattice points");
         return samples_of(tree, surface);
     }
@@ -123,7 +130,7 @@ struct OctreeFunctions {
     static nb::tuple decode(bit_arrays::BitArrayDecoder &coder, size_t points, int depth, const Surface *surface,
                             Input<int32_t, 1> bell) {
         Tree tree = tree_of(depth, surface, bell);
-        if (!tree.code(coder, nullptr, points))
+        if (!code_alone(tree, coder, nullptr, points))
             return nb::make_tuple(nb::none(), nb::none(), tree.failed_level, tree.failed_cubes);
         const std::vector<uint64_t> &found = tree.points().codes;
         Fresh<int64_t> codes(found.size());

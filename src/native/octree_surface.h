@@ -134,7 +134,7 @@ public:
     static constexpr int64_t LARGEST = 3300;
 
     void take(const std::vector<Place> &points, const std::vector<int32_t> &neighbours) {
-        is_near_.assign(points.size(), 1);
+        reach_.assign(points.size(), 0);
         offsets_.resize(points.size() * 3 * NEIGHBOURS);
         for (size_t i = 0; i < points.size(); ++i)
             for (size_t k = 0; k < NEIGHBOURS; ++k) {
@@ -143,16 +143,19 @@ public:
                 int64_t apart[3];
                 for (size_t d = 0; d < 3; ++d) {
                     apart[d] = other[d] - points[i][d];
-                    is_near_[i] &= apart[d] <= LARGEST && apart[d] >= -LARGEST;
+                    reach_[i] = int32_t(std::min<int64_t>(std::max<int64_t>(reach_[i], std::abs(apart[d])), LARGEST + 1));
                 }
                 to[2 * k] = int16_t(apart[0]), to[2 * k + 1] = int16_t(apart[1]), to[2 * NEIGHBOURS + k] = int16_t(apart[2]);
             }
     }
 
+    // The largest difference of a coordinate from the samples around sample `row`, LARGEST + 1 for all that are larger.
+    int32_t reach(size_t row) const { return reach_[row]; }
+
     // The neighbour nearest to a place relative to sample `row`, counted from 1; 0: the sample itself; −1: numbers too
     // large. Of equal distances the first counts.
     int nearest(size_t row, const Place &place) const {
-        if (!is_near_[row]) return -1;
+        if (reach_[row] > LARGEST) return -1;
         for (int64_t v : place)
             if (v > LARGEST || v < -LARGEST) return -1;
         const int16_t *offsets = &offsets_[3 * NEIGHBOURS * row];
@@ -187,7 +190,7 @@ public:
     }
 
 private:
-    std::vector<uint8_t> is_near_;
+    std::vector<int32_t> reach_;
     std::vector<int16_t> offsets_;  // for each sample: pairs of x and y, then z
 };
 
@@ -217,6 +220,7 @@ public:
     int64_t spacing() const { return spacing_; }
     const Place &place(int32_t row) const { return points_[size_t(row)]; }
     const Place &normal(int32_t row) const { return normals_[size_t(row)]; }
+    int64_t reach(int32_t row) const { return near_.reach(size_t(row)); }
     const int32_t *around(int32_t row) const { return &neighbours_[size_t(row) * NEIGHBOURS]; }
 
     // Side of the children of a level's cubes, subunits.

@@ -168,37 +168,40 @@ Output<int64_t> expected_colours(Rows rows, Numbers places, Numbers neighbours, 
     for (size_t i = 0; i < neighbours.size(); ++i)
         require(neighbours.data()[i] >= 0 && size_t(neighbours.data()[i]) < samples, "expected_colours: a row beyond the samples");
     Fresh<int64_t> out(3 * n);
-    for (size_t i = 0; i < n; ++i) {
-        const int64_t row = rows.data()[i];
-        require(row >= 0 && size_t(row) < samples, "expected_colours: a row beyond the samples");
-        int32_t place[3];
-        for (size_t d = 0; d < 3; ++d) {
-            require(std::abs(places.data()[3 * i + d]) <= LARGEST_PLACE, "expected_colours: a place out of range");
-            place[d] = int32_t(places.data()[3 * i + d]);
+    {
+        nb::gil_scoped_release release;
+        for (size_t i = 0; i < n; ++i) {
+            const int64_t row = rows.data()[i];
+            require(row >= 0 && size_t(row) < samples, "expected_colours: a row beyond the samples");
+            int32_t place[3];
+            for (size_t d = 0; d < 3; ++d) {
+                require(std::abs(places.data()[3 * i + d]) <= LARGEST_PLACE, "expected_colours: a place out of range");
+                place[d] = int32_t(places.data()[3 * i + d]);
+            }
+            Candidates candidates;
+            size_t searched[SEARCHED];
+            for (size_t k = 0; k <= around; ++k) {
+                searched[k] = size_t(k ? neighbours.data()[size_t(row) * around + k - 1] : row);
+                candidates.add(known.data() + 3 * KEPT * searched[k], place);
+            }
+            Smallest nearest;
+            for (uint64_t mask = candidates.mask(); mask; mask &= mask - 1) {
+                const size_t slot = size_t(lowest_bit(mask));
+                const int32_t *own = known.data() + 3 * KEPT * searched[slot / KEPT] + slot % KEPT;
+                const int64_t x = int64_t(own[0]) - place[0], y = int64_t(own[KEPT]) - place[1], z = int64_t(own[2 * KEPT]) - place[2];
+                nearest.add((x * x + y * y + z * z) * SLOTS + int64_t(slot));
+            }
+            int64_t total = 0, sums[3] = {0, 0, 0};
+            for (int64_t key : nearest.keys) {
+                const size_t slot = size_t(key % SLOTS);
+                const int32_t *colour = colours.data() + 3 * (KEPT * searched[slot / KEPT] + slot % KEPT);
+                const int64_t weight = floor_quotient(PLACE_WEIGHT, key / SLOTS + PLACE_SOFTENING);
+                total += weight;
+                for (int d = 0; d < 3; ++d) sums[d] += weight * colour[d];
+            }
+            total = std::max<int64_t>(total, 1);
+            for (int d = 0; d < 3; ++d) out.data[3 * i + size_t(d)] = floor_quotient(sums[d] + total / 2, total);
         }
-        Candidates candidates;
-        size_t searched[SEARCHED];
-        for (size_t k = 0; k <= around; ++k) {
-            searched[k] = size_t(k ? neighbours.data()[size_t(row) * around + k - 1] : row);
-            candidates.add(known.data() + 3 * KEPT * searched[k], place);
-        }
-        Smallest nearest;
-        for (uint64_t mask = candidates.mask(); mask; mask &= mask - 1) {
-            const size_t slot = size_t(lowest_bit(mask));
-            const int32_t *own = known.data() + 3 * KEPT * searched[slot / KEPT] + slot % KEPT;
-            const int64_t x = int64_t(own[0]) - place[0], y = int64_t(own[KEPT]) - place[1], z = int64_t(own[2 * KEPT]) - place[2];
-            nearest.add((x * x + y * y + z * z) * SLOTS + int64_t(slot));
-        }
-        int64_t total = 0, sums[3] = {0, 0, 0};
-        for (int64_t key : nearest.keys) {
-            const size_t slot = size_t(key % SLOTS);
-            const int32_t *colour = colours.data() + 3 * (KEPT * searched[slot / KEPT] + slot % KEPT);
-            const int64_t weight = floor_quotient(PLACE_WEIGHT, key / SLOTS + PLACE_SOFTENING);
-            total += weight;
-            for (int d = 0; d < 3; ++d) sums[d] += weight * colour[d];
-        }
-        total = std::max<int64_t>(total, 1);
-        for (int d = 0; d < 3; ++d) out.data[3 * i + size_t(d)] = floor_quotient(sums[d] + total / 2, total);
     }
     return out.give({n, 3});
 }
@@ -403,14 +406,20 @@ nb::tuple encode_frame(bit_arrays::BitArrayEncoder &coder, Numbers wanted, Numbe
                        Input<uint8_t, 1> is_expected, Rows shares, Rows steps) {
     Frame frame(cells, expected, is_expected, shares, steps);
     require(wanted.shape(0) == cells.shape(0) && wanted.shape(1) == 3, "colour_frame: shapes differ");
-    frame.code(coder, wanted.data());
+    {
+        nb::gil_scoped_release release;
+        frame.code(coder, wanted.data());
+    }
     return result_of(frame);
 }
 
 nb::tuple decode_frame(bit_arrays::BitArrayDecoder &coder, Numbers cells, Numbers expected, Input<uint8_t, 1> is_expected,
                        Rows shares, Rows steps) {
     Frame frame(cells, expected, is_expected, shares, steps);
-    frame.code(coder, nullptr);
+    {
+        nb::gil_scoped_release release;
+        frame.code(coder, nullptr);
+    }
     return result_of(frame);
 }
 

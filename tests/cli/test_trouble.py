@@ -52,6 +52,11 @@ def assert_one_line(result: Result, code: int) -> None:
         ["cut", "walk.trc", "--from", "99s", "-o", "x.trc"],
         ["cut", "walk.trc", "--from", "12", "-o", "x.trc"],
         ["cut", "walk.trc", "--chunks", "-o", "x.trc"],
+        ["cut", "walk.trc", "--to", "1s", "-o", "./walk.trc"],
+        ["convert", "walk.trc", "walk.trc", "--to-rate", "60"],
+        ["encode", "walk.trc", "-o", ""],
+        ["encode", "", "-o", "x.mocz"],
+        ["decode", "walk.mocz", "-o", "x.mocz"],
     ],
     ids=" ".join,
 )
@@ -159,6 +164,27 @@ def test_a_pipe_is_written_to_not_replaced(command: Command, walk_trc: Path) -> 
     assert Path("pipe").is_fifo()
 
 
+@pytest.mark.skipif(not hasattr(os, "mkfifo"), reason="pipes with names are POSIX's")
+def test_pipes_with_names_are_read_once_and_passed_over_in_folders(command: Command, walk_mocz: Path) -> None:
+    os.mkfifo("pipe")
+    with subprocess.Popen(["bash", "-c", f"cat {walk_mocz} > pipe"]):
+        assert command("decode", "pipe", "-o", "x.npz").code == 0
+    os.remove("x.npz")
+    os.mkfifo("later.trc")
+    found = command("encode", ".", "-o", "out", "--codec", "lossless", "--json")
+    assert [record["file"] for record in json.loads(found.out)["records"]] == ["walk.trc"]
+
+
+@pytest.mark.skipif(os.name != "posix", reason="lengths of names in POSIX")
+def test_an_output_with_too_long_a_name_costs_no_other_file(command: Command, walk_trc: Path) -> None:
+    for suffix in (".trc", ".TRC"):
+        Path("x" * 250 + suffix).write_bytes(walk_trc.read_bytes())
+    result = command("encode", ".", "-o", "out", "--codec", "lossless", "--quiet")
+    assert result.code == cli.BAD_INPUT
+    assert result.err.count("File name too long") == 2
+    assert [path.name for path in Path("out").glob("*.mocz")] == ["walk.mocz"]
+
+
 def test_an_existing_output_survives_a_failure(command: Command, walk_trc: Path) -> None:
     Path("x.mocz").write_text("unchanged")
     assert command("encode", "missing.c3d", "-o", "x.mocz").code == cli.BAD_INPUT
@@ -232,7 +258,6 @@ def test_an_option_of_another_codec_names_the_codecs_that_take_it(command: Comma
     ("arguments", "code", "says"),
     [
         (("decode", "walk.mocz", "-o", "again.mocz"), 2, "decode does not compress again"),
-        (("cut", "walk.trc", "--from", "10f", "-o", "part.mocz"), 2, "cut does not compress walk.trc"),
         (("info", "missing.mocz"), 3, "missing.mocz: no such file"),
         (("view", "missing"), 3, "missing: no such file or folder"),
         (("encode", "walk.trc", "-o", "missing/walk.mocz"), 3, "there is no folder"),
@@ -370,3 +395,9 @@ def test_a_signal_at_any_moment_leaves_no_trace(walk_trc: Path, number: int, aft
     assert process.returncode in (0, 128 + number, -number)  # the last as the interpreter ends
     assert b"Traceback" not in err
     assert [path.name for path in Path().iterdir() if "part" in path.name] == []
+
+
+def test_a_cut_of_another_format_into_a_mocz_says_its_bound(command: Command, walk_trc: Path) -> None:
+    result = command("cut", walk_trc, "--from", "10f", "-o", "part.mocz")
+    assert result.code == 0, result.err
+    assert "cut and encoded, promised max error 5 mm" in result.err

@@ -219,6 +219,8 @@ def test_choice_of_the_skeleton(tmp_path):
         ("tibia", "shin", "not in its skeleton"),
         (":DEGREES", ":RADIANS", "radians"),
         (AMC, "7\n8\n", "not an AMC"),
+        ("\n7\n", "\n-7\n", "a frame before frame 8"),
+        ("\n7\n", "\n7.0\n", "a frame before frame 8"),
     ],
 )
 def test_damage_of_the_motion(tmp_path, old, new, says):

@@ -179,6 +179,7 @@ def test_a_skeleton_from_elsewhere(tmp_path):
         ("HIERARCHY", "", "does not begin with HIERARCHY"),
         ("MOTION", "", "no MOTION"),
         ("}\nMOTION", "MOTION", "brace is not closed"),
+        ("}\nMOTION", "}\n}\nMOTION", "a } without a {"),
         ("Zrotation Yrotation Xrotation", "Zrotation Yrotation Wrotation", "unreadable channels"),
         ("CHANNELS 6", "CHANNELS 5", "unreadable channels"),
         ("CHANNELS 6", "CHANNELS six", "cannot be read"),

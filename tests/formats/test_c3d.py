@@ -365,14 +365,23 @@ def test_a_contradiction_that_the_size_allows_both_ways_is_refused(tmp_path):
         read_bytes(tmp_path, built(3, 3, 1, 1, header={2: 0, 9: 0}, table=table))
 
 
-@pytest.mark.parametrize(("frames", "stated"), [(70000, 0xFFFF), (70000, 70000 & 0xFFFF), (65535, 0xFFFF)])
+@pytest.mark.parametrize(
+    ("frames", "stated"), [(70000, 0xFFFF), (70000, 70000 & 0xFFFF), (65535, 0xFFFF), (65536, 0xFFFF)]
+)
 def test_more_frames_than_16_bits_count(tmp_path, frames, stated):
     table = np.zeros((frames, 4))
     table[:, 0] = np.arange(frames) % 5000 + 1
     data = built(frames, 1, 0, 0, change=set_parameter("POINT", "FRAMES", counts(stated)), table=table)
     motion = read_bytes(tmp_path, data)
     assert len(motion) == frames
-    assert any("gives 70000 frames" in note for note in formats.notes(motion)) == (frames == 70000)
+    assert any(f"gives {frames} frames" in note for note in formats.notes(motion)) == (frames > 65535)
+
+
+def test_data_behind_the_declared_frames_are_noted(tmp_path):
+    data = built()
+    assert "more bytes" not in " ".join(formats.notes(read_bytes(tmp_path, data + bytes(5000))))
+    notes = formats.notes(read_bytes(tmp_path, data + b"x" * 5000))
+    assert f"{5000 + -(20 * 52 * 4) % 512} more bytes" in " ".join(notes)
 
 
 @pytest.mark.parametrize(

@@ -279,6 +279,8 @@ def test_signals_and_zeros_of_a_csv_come_back(tmp_path):
         ("time,A.x,A.y,A.z\n0,1,2,3\n0.01,4,5\n", "cut off"),
         ("time,A.x,A.y,A.z\n0,1,2,3\n0.01,4,5,6,7\n", "5 cells"),
         ("time,A.x,A.y,A.z\n0,1,2,3\n0.01,4,5,x\n", "not a number"),
+        ("time,A.x,A.y,A.z\n0,1,2,x\n0.01,4,5,6\n", "'x' in a row of numbers"),
+        ("time,A.x,A.y,A.z\n0,1,2,3,9\n0.01,4,5,6\n", "5 cells"),
         ("A.x,A.y,A.z\n1,2,3\n4,5,6\n", "--rate"),
         ("time,A.x,A.y,A.z\n0.01,1,2,3\n0,4,5,6\n", "do not increase"),
     ],
@@ -287,6 +289,32 @@ def test_csv_files_that_cannot_be_read(tmp_path, text, says):
     with pytest.raises(BadInput, match=says) as error:
         read_text(tmp_path, "a.csv", text)
     assert "\n" not in str(error.value)
+
+
+@pytest.mark.parametrize("numbers", [(1, 2, 5), (1, 4, 5, 9), (1, 4, 7, 10)])
+def test_frame_numbers_of_nexus_that_skip(tmp_path, numbers):
+    head = "Trajectories\n100\n,,S:A,,\nFrame,Sub Frame,X,Y,Z\n,,mm,mm,mm\n"
+    motion = read_text(tmp_path, "a.csv", head + "".join(f"{number},0,1,2,3\n" for number in numbers))
+    assert (len(motion), motion.rate) == (numbers[-1], 100)
+    assert np.flatnonzero(~motion.gaps[:, 0]).tolist() == [number - 1 for number in numbers]
+    assert "are missing from the file's frame numbers" in formats.notes(motion)[1]
+
+
+@pytest.mark.parametrize(
+    ("text", "says"),
+    [
+        ("time,A1,A2,A3\n0,1,2,3\n0.1,4,5,6\n", "no columns are positions"),
+        ("time,A.x,A.y,A.z,A.x\n0,1,2,3,4\n0.1,4,5,6,7\n", "all but the first are signals: A.x"),
+        (NEXUS + "\n" + NEXUS[: NEXUS.index("Devices")], "another section trajectories is not read"),
+    ],
+)
+def test_columns_and_sections_that_become_no_points_are_noted(tmp_path, text, says):
+    assert says in " ".join(formats.notes(read_text(tmp_path, "a.csv", text)))
+
+
+def test_times_since_1970(tmp_path):
+    motion = read_text(tmp_path, "a.csv", "time,A.x,A.y,A.z\n1700000000.0,1,2,3\n1700000000.01,4,5,6\n")
+    assert (motion.rate, start_s(motion.source, motion.rate)) == (100, 1.7e9)
 
 
 def test_motive_without_words_beside_its_rows(tmp_path):

@@ -220,3 +220,12 @@ def test_salvage_reads_the_complete_rows(tmp_path):
         assert any(f"{len(part)} of 30 declared frames" in note for note in formats.notes(part))
     (tmp_path / "x.trc").write_text(text)
     assert len(formats.read(tmp_path / "x.trc", salvage=True)) == 30
+
+
+def test_a_last_row_that_ends_early_is_cut_off(tmp_path):
+    """All declared rows are there, the last one in part; a row of gaps that ends with a line break is whole."""
+    rows = "1\t0.0\t1\t2\t3\t4\t5\t6\n2\t0.0166667\t1\t2\t3"
+    with pytest.raises(BadInput, match="last row ends early"):
+        read(tmp_path, file(rows))
+    assert len(read(tmp_path, file(rows), salvage=True)) == 1
+    assert read(tmp_path, file(rows + "\n")).gaps.tolist() == [[False, False], [False, True]]

@@ -9,6 +9,7 @@ from __future__ import annotations
 import glob
 import os
 import re
+import shutil
 import tarfile
 import tempfile
 import zipfile
@@ -17,8 +18,8 @@ from collections.abc import Collection, Generator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 from functools import lru_cache
-from pathlib import Path, PurePosixPath
-from typing import Any
+from pathlib import PurePosixPath
+from typing import IO, Any
 
 from ..container.remote_sources import file_system
 from ..errors import BadInput
@@ -184,24 +185,25 @@ def copied(source: Source, folder: str) -> str:
         if source.member:
             packed = _packed(source.origin, os.stat(source.origin).st_mtime_ns)
             for name in names:
-                _write(folder, name, _content(packed, name))
+                with _content(packed, name) as content, open(_copy_path(folder, name), "wb") as file:
+                    shutil.copyfileobj(content, file)
         else:
             files, first = file_system(source.origin)
             for name in (first, *source.companions):
-                files.get_file(name, os.path.join(folder, PurePosixPath(name).name))
+                files.get_file(name, _copy_path(folder, name))
     except (OSError, KeyError, RuntimeError, EOFError, zipfile.BadZipFile, tarfile.TarError) as error:
         raise BadInput(f"{source.where}: cannot be read ({error})") from error
-    return os.path.join(folder, PurePosixPath(names[0]).name)
+    return _copy_path(folder, names[0])
 
 
-def _content(packed: zipfile.ZipFile | tarfile.TarFile, name: str) -> bytes:
+def _content(packed: zipfile.ZipFile | tarfile.TarFile, name: str) -> IO[bytes]:
     if isinstance(packed, zipfile.ZipFile):
-        return packed.read(name)
+        return packed.open(name)
     member = packed.extractfile(name)
     assert member is not None  # links and folders are no members that `_members` lists
-    return member.read()
+    return member
 
 
-def _write(folder: str, name: str, content: bytes) -> None:
-    """A file of the last part of this name in the folder: a member's own folders are not followed."""
-    Path(folder, PurePosixPath(name).name).write_bytes(content)
+def _copy_path(folder: str, name: str) -> str:
+    """The last part of this name in the folder: a member's own folders are not followed."""
+    return os.path.join(folder, PurePosixPath(name).name)

@@ -123,6 +123,8 @@ def run(arguments: Sequence[str]) -> int:
     """Run one command line; returns its exit code. Errors become one line on standard error, unless --debug."""
     flags: dict[str, Any] = {"debug": False}
     try:
+        if "" in arguments:
+            raise click.UsageError("an argument is empty; is a variable of the shell not set?")
         with mocodec.make_context("mocodec", list(arguments) or ["--help"], obj=flags) as ctx:
             result = mocodec.invoke(ctx)
             for note in flags.get("notes", ()):  # of the files that were read

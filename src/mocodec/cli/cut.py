@@ -2,6 +2,7 @@
 
     .mocz → .mocz   if the cut is on chunk borders and chunks decode alone, chunks are copied without loss;
                     otherwise the range is decoded and encoded again, and the new promise is the sum of both bounds
+    other → .mocz   the range is encoded by the default codec, without a target
     anything else   is read, cut and written
 
 Why not always copy: a codec may need the neighbours of a chunk (its declared margin), and users want to cut at any
@@ -54,20 +55,18 @@ def command(source: str, begin: Time, end: Time | None, output: str, chunks: boo
 
     From .mocz to .mocz, chunks are copied without loss if the cut is on chunk borders (--chunks widens it to these).
     Otherwise the range is encoded again with half the promised error, and OUT promises the sum of both errors.
+    From another format to .mocz, the range is encoded as by `mocodec encode` without a target.
     """
+    files.refuse_source(source, output)
     compressed = files.holds_compressed(source, options["format_"])
     if chunks and not (compressed and files.is_mocz(output)):
         raise click.UsageError("--chunks works only from a .mocz file to a .mocz file")
-    if not compressed and files.is_mocz(output):
-        raise click.UsageError(
-            f"cut does not compress {source}; run `mocodec encode {source}` first, and cut its .mocz"
-        )
     if not compressed:
         with files.working(f"reading {source}"):
             recording = files.read(source, **options)
         start, stop = frame_range(begin, end, recording.rate, len(recording))
         files.write(output, recording[start:stop], quiet=quiet)
-        how = "cut"
+        how = f"cut and encoded, {_promise_of(output)}" if files.is_mocz(output) else "cut"
     else:
         files.require_no_options(source, files.given(**{**options, "format_": None}))
         with api.open(files.source_of(source)) as opened:
@@ -83,6 +82,14 @@ def command(source: str, begin: Time, end: Time | None, output: str, chunks: boo
                 how = "decoded"
     if not quiet:
         files.line(f"{output}: frames {start} to {stop - 1} of {source}, {how}", err=True)
+
+
+def _promise_of(path: str) -> str:
+    """The promise of a file that was encoded without a target, and how to choose another, in words."""
+    with api.open(path) as opened:
+        bound = opened.encoded.promise.get("max_error")
+    promised = f"promised max error {quantities.bound(bound)}" if bound else "without a bound on the error"
+    return f"{promised} (`mocodec encode` takes other targets)"
 
 
 def frame_range(begin: Time, end: Time | None, rate: float, count: int) -> tuple[int, int]:

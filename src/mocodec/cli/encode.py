@@ -140,6 +140,7 @@ def command(
         files.refuse_terminal()
     if output != "-" and Path(output).suffix and not files.is_mocz(output):
         raise click.UsageError(f"{output}: encode writes .mocz files; `mocodec convert` converts between other formats")
+    files.refuse_source(source, output)
     _, record = written(source, output, pieces, quiet, **chosen, **options)
     for text in record.pop("notes", ()):
         files.note(source, text)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import re
 import sys
 import tempfile
@@ -190,6 +191,16 @@ def require_suffix(path: str | None, what: str, suffixes: tuple[str, ...]) -> No
     if path is not None and Path(path).suffix.lower() not in suffixes:
         choice = suffixes[0] if len(suffixes) == 1 else f"one of {', '.join(suffixes)}"
         raise click.UsageError(f"{path}: the suffix of {what} must be {choice}")
+
+
+def refuse_source(source: str, output: str) -> None:
+    """Raises a usage error if the output is the source, which a part or another form would replace."""
+    try:
+        is_same = os.path.samefile(source, output)
+    except OSError:  # one does not exist, or is "-" or a URL
+        return
+    if is_same:
+        raise click.UsageError(f"{output} is the file that is read: name another output")
 
 
 def takes(name: str, format_: str | None, option: str) -> bool:

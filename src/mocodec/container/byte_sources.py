@@ -17,6 +17,9 @@ from ..file_range import FileRange
 from . import compact
 from .remote_sources import remote_file
 
+MAX_PIPED_BYTES = 1 << 30
+"""The most that is read from a pipe, which cannot be read at any place."""
+
 
 class ByteSource(Protocol):
     """Bytes that can be read at any offset. name: for messages, or "". size: bytes in total."""
@@ -45,7 +48,8 @@ def byte_source(where: Any) -> ByteSource:
     if isinstance(where, str) and is_url(where):
         return remote_file(where)
     if isinstance(where, (str, os.PathLike)):
-        return LocalFile(cast("str | os.PathLike[str]", where))
+        path = cast("str | os.PathLike[str]", where)
+        return _piped(path) if os.path.exists(path) and not os.path.isfile(path) else LocalFile(path)
     if hasattr(where, "read"):
         return _file_object(where)
     raise BadInput(f"open a .mocz from a path, URL, bytes or a binary file object, not from {type(where).__name__}")
@@ -93,11 +97,11 @@ class LocalFile:
         try:
             self.file: BinaryIO | None = open(self.path, "rb")  # noqa: SIM115 (open until close)
             self.size = os.fstat(self.file.fileno()).st_size
-        except IsADirectoryError as error:
-            raise BadInput(f"{os.fspath(path)}: this is a folder; mocodec.open_archive opens an archive") from error
         except OSError as error:
             missing = isinstance(error, FileNotFoundError)
             raise BadInput(f"{os.fspath(path)}: {'no such file' if missing else error.strerror}") from error
+        except ValueError as error:  # a null character
+            raise BadInput(f"{os.fspath(path)}: {error}") from error
 
     def read(self, start: int, count: int) -> bytes:
         try:
@@ -112,6 +116,21 @@ class LocalFile:
         if self.file is not None:
             self.file.close()
             self.file = None
+
+
+def _piped(path: str | os.PathLike[str]) -> ByteSource:
+    """What a pipe or a device sends, read at once. Raises BadInput for a folder, and above MAX_PIPED_BYTES."""
+    name = os.fspath(path)
+    if os.path.isdir(path):
+        raise BadInput(f"{name}: this is a folder; mocodec.open_archive opens an archive")
+    try:
+        with open(path, "rb") as file:
+            data = file.read(MAX_PIPED_BYTES + 1)
+    except OSError as error:
+        raise BadInput(f"{name}: {error.strerror}") from error
+    if len(data) > MAX_PIPED_BYTES:
+        raise BadInput(f"{name}: more than {MAX_PIPED_BYTES:,} bytes from a pipe; write them to a file first")
+    return InMemory(data, name)
 
 
 class OpenRange(LocalFile):

@@ -39,6 +39,7 @@ MAX_RADIANS = 50.0
 MAX_OFF_DEGREES = 5.0
 """How far rotations may be on average from those that a bone's degrees of freedom can make: coding errors, not more."""
 RATE_WORD = re.compile(r":((SAMPLES|FRAMES)[-_]PER[-_]SECOND|(SAMPLE|FRAME)[-_]?(RATE|TIME)|FPS)")
+ROOT_LINE = re.compile(r"^[ \t]*root[ \t]+[-+.\d]", re.MULTILINE)
 BONE_NAMES = re.compile(r"^[ \t]*([A-Za-z_]\S*)", re.MULTILINE)
 
 
@@ -116,6 +117,8 @@ def _header(text: str, path: Path) -> _Header:
     if start is None or "root" not in text:
         raise BadInput(f"{path}: not an AMC: it has no line with a frame's number")
     head = text[: start.start()]
+    if ROOT_LINE.search(head):
+        raise BadInput(f"{path}: a frame before frame {start[0].strip():.20} has no whole number above it")
     words = {line.split()[0].upper(): line.split()[1:] for line in head.split("\n") if line.lstrip().startswith(":")}
     is_degrees = True if ":DEGREES" in words else False if ":RADIANS" in words else None
     rate = None

@@ -32,6 +32,8 @@ NO_POSITION = re.compile(
 """Words of labels whose three columns are no position."""
 RATE_TOLERANCE = 5e-4
 """Relative difference between a declared rate and the times that needs no note."""
+MAX_STEP_ERROR = 0.05
+"""Share by which the shortest step of the times may differ from a frame of the declared rate."""
 MAX_DROPPED_SHARE = 16
 """Rows that the times may skip, as a multiple of those that are there; more is taken for damage."""
 
@@ -101,6 +103,8 @@ def clock(times: Floats, declared: float | None, given: float | None, notes: lis
     if not (steps > 0).all():
         raise BadInput("its times do not increase")
     period = float(np.median(steps))
+    if declared and abs(declared * steps.min() - 1) < MAX_STEP_ERROR:  # most rows may be missing
+        period = 1 / declared
     index = np.concatenate([[0.0], np.cumsum(np.rint(steps / period))])
     fit = (times[-1] - times[0]) / index[-1]
     errors = np.abs(times - times[0] - index * fit)
@@ -111,9 +115,30 @@ def clock(times: Floats, declared: float | None, given: float | None, notes: lis
             f"{rate:.6g} Hz, and the times are kept as a signal"
         )
         return Clock(counted, rate, start, False)
-    if missing := int(index[-1]) + 1 - rows:
-        notes.append(f"{missing} frames are missing from the file's times: they are gaps")
+    _note_missing(index, "times", notes)
     return Clock(index.astype(np.int64), _rate(fit, errors, declared, given, notes), start, True)
+
+
+def clock_of_numbers(numbers: Floats, rate: float, notes: list[str]) -> Clock:
+    """Start and frames of rows with these frame numbers, from 1, at a rate. Numbers that are skipped leave gaps.
+
+    Raises BadInput for numbers that do not increase, and that skip far more frames than there are.
+    """
+    if not (math.isfinite(rate) and np.isfinite(numbers).all() and (np.diff(numbers) > 0).all()):
+        raise BadInput("its frame numbers do not increase")
+    if not len(numbers):
+        return Clock(np.zeros(0, np.int64), rate, 0.0, True)
+    index = numbers - numbers[0]
+    if (index != np.rint(index)).any() or index[-1] > MAX_DROPPED_SHARE * len(numbers) + 100:
+        raise BadInput(f"its frame numbers {numbers[0]:g} to {numbers[-1]:g} do not fit its {len(numbers)} rows")
+    _note_missing(index, "frame numbers", notes)
+    return Clock(index.astype(np.int64), rate, float(numbers[0] - 1) / rate, True)
+
+
+def _note_missing(index: Floats, what: str, notes: list[str]) -> None:
+    """Note the frames without a row. index (rows,): frame of each row, from 0."""
+    if missing := int(index[-1]) + 1 - len(index):
+        notes.append(f"{missing} frames are missing from the file's {what}: they are gaps")
 
 
 def _rate(period: float, errors: Floats, declared: float | None, given: float | None, notes: list[str]) -> float:

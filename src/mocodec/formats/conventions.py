@@ -30,6 +30,8 @@ MORE_UNITS_M = {"um": 1e-6, "km": 1e3}
 MIN_UNIT_LETTERS = 4
 """Letters that identify a spelled-out unit that a fixed-width text cuts off, as in "mete"."""
 
+MAX_START_S = 1e11
+"""Times since 1970 in seconds are below it."""
 MOST_METRES = 200.0
 """Larger extents of a frame are millimetres, where no unit is stored: a person, not a playing field."""
 
@@ -110,7 +112,7 @@ def first_frame(source: Mapping[str, Any]) -> int:
 def start_s(source: Mapping[str, Any], rate: float) -> float:
     """The time of the first frame in seconds, on the recording's own clock."""
     offset = source.get("time_of_frame_1", 0.0)
-    is_time = isinstance(offset, float | int) and abs(offset) < 1e9
+    is_time = isinstance(offset, float | int) and abs(offset) < MAX_START_S
     return (offset if is_time else 0.0) + (first_frame(source) - 1) / rate
 
 
@@ -120,8 +122,8 @@ def with_start(source: Mapping[str, Any], rate: float, time_s: float) -> dict[st
     It is stored as the time of frame number 1, which cutting frames does not change, and only if that is not 0.
     Raises BadInput for a time that is not finite.
     """
-    if not abs(time_s) < 1e9:
-        raise BadInput(f"a start time is a finite number of seconds, not {time_s}")
+    if not abs(time_s) < MAX_START_S:
+        raise BadInput(f"a start time is a number of seconds below {MAX_START_S:g}, not {time_s}")
     first = first_frame(source)
     offset = round(time_s - (first - 1) / rate, 9)
     result = {**source, "first_frame": first, "time_of_frame_1": offset}

@@ -14,6 +14,7 @@ from __future__ import annotations
 import csv
 import math
 import re
+from collections import Counter
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from itertools import chain, islice
@@ -26,7 +27,7 @@ from ..errors import BadInput
 from ..motion import Motion, Signal
 from ..typing import Floats
 from . import nexus, replace_whole
-from .columns import Clock, Point, Table, cell, clock, columns_of, find_points, motion_of
+from .columns import Clock, Point, Table, cell, clock, clock_of_numbers, columns_of, find_points, motion_of
 from .conventions import metres_in, start_s, unit_of, unit_option
 from .opensim import numbers
 from .text import is_gap, read_text
@@ -90,7 +91,7 @@ def _read(
         raise BadInput("has no rows")
     sections: dict[str, list[list[str]]] = {}
     if has_sections(rows[0]):
-        sections = nexus.sections(rows)
+        sections = nexus.sections(rows, notes)
         title = nexus.main_title(sections)
         rows = sections.pop(title)
         columns = _section(title, rows)
@@ -143,7 +144,17 @@ def table_of(
     chosen = unit_option(unit if unit is not None else declared_unit or "m")
     up = up or (comments.get("up") if comments.get("up") in ("x", "y", "z") else None)
     labels = [columns.labels[column] or f"column {column + 1}" for column in keep]
+    _note_signals(labels, points, notes)
     return Table(labels, units, points, timing, times, chosen, up), keep, source
+
+
+def _note_signals(labels: Sequence[str], points: Sequence[Point], notes: list[str]) -> None:
+    """Note what users may have taken for positions: columns without any point, and those of a label that repeats."""
+    if labels and not points:
+        notes.append("no columns are positions (three of a point: A.x, A.y, A.z): all are signals")
+    repeated = [label for label, times in Counter(labels).items() if times > 1]
+    if repeated:
+        notes.append(f"of the columns of one label, all but the first are signals: {', '.join(repeated[:5])}")
 
 
 def opened(lines: Iterable[str]) -> tuple[dict[str, str], Iterator[list[str]]]:
@@ -190,7 +201,11 @@ def _plain(rows: list[list[str]]) -> _Columns:
     first = next((i for i, row in enumerate(rows[:HEADER_ROWS]) if _is_data(row)), len(rows))
     if not 1 <= first <= 3:
         raise BadInput("it does not begin with one to three rows of labels and then numbers")
-    head, width = rows[:first], max(map(len, rows[: first + 1]))
+    for row in rows[1:first]:
+        if fault := _fault_of_data(row):
+            raise BadInput(f"{fault!r:.40} in a row of numbers is not a number")
+    head = rows[:first]
+    width = max([*map(len, head), *sorted(map(len, rows[first : first + 2]))[:1]])
     head = [row + [""] * (width - len(row)) for row in head]
     units = [""] * width
     if len(head) > 1 and all(UNIT_WORDS.match(text) or metres_in(text) for text in head[-1]):
@@ -214,6 +229,13 @@ def _is_data(row: Sequence[str]) -> bool:
     """Whether a row has numbers and nothing else."""
     texts = [text for text in row if text]
     return any(map(_is_number, texts)) and all(_is_number(text) or is_gap(text) for text in texts)
+
+
+def _fault_of_data(row: Sequence[str]) -> str | None:
+    """The first text of a row most of whose cells are numbers; None for other rows."""
+    texts = [text for text in row if text]
+    faults = [text for text in texts if not _is_number(text) and not is_gap(text)]
+    return faults[0] if faults and len(faults) * 2 < len(texts) else None
 
 
 def _two_rows(names: list[str], axes: list[str]) -> tuple[list[str], list[Point]]:
@@ -340,10 +362,7 @@ def _timing(
     ids = values[:, frame_at] if frame_at is not None else np.arange(1.0, len(values) + 1)
     if sub_at is not None and len(values) and values[:, sub_at].any():  # the rate is that of the samples in a frame
         ids = (ids - 1) * (values[:, sub_at].max() + 1) + values[:, sub_at] + 1
-    times = (ids - 1) / hertz
-    if not (np.isfinite(times).all() and (np.diff(ids) > 0).all() and math.isfinite(hertz)):
-        raise BadInput("its frame numbers do not increase")
-    return clock(times, hertz, hertz, notes), times, drop
+    return clock_of_numbers(ids, hertz, notes), (ids - 1) / hertz, drop
 
 
 def write(path: str | Path, motion: Motion) -> None:

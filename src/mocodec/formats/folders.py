@@ -29,7 +29,8 @@ def below(path: str, suffixes: Collection[str]) -> list[str]:
         if ".ply" in suffixes and any(name.lower().endswith(".ply") for name in visible):
             result.append(folder)
         wanted = [s for s in suffixes if s != ".ply"]
-        result += [os.path.join(folder, name) for name in visible if os.path.splitext(name)[1].lower() in wanted]
+        found = [os.path.join(folder, name) for name in visible if os.path.splitext(name)[1].lower() in wanted]
+        result += [file for file in found if os.path.isfile(file) or not os.path.exists(file)]  # no pipe, no device
     return result
 
 
@@ -42,12 +43,12 @@ def fingerprint(path: str, options: Mapping[str, Any] | None = None) -> list[int
     """Bytes and latest time of change (ns) of a file or of the files in a folder, with those that belong to it: its
     companions, and the files that options name. [] for what does not exist, such as a URL."""
     where = Path(path)
-    parts = sorted(where.rglob("*") if rgbd.is_sequence(where) else where.iterdir()) if where.is_dir() else [where]
-    companion = COMPANIONS.get(where.suffix.lower())
-    if companion is not None and where.parent.is_dir():
-        parts += [p for p in where.parent.iterdir() if p.suffix.lower() == companion]
-    parts += [Path(value) for value in (options or {}).values() if isinstance(value, str) and os.path.isfile(value)]
     try:
+        parts = sorted(where.rglob("*") if rgbd.is_sequence(where) else where.iterdir()) if where.is_dir() else [where]
+        companion = COMPANIONS.get(where.suffix.lower())
+        if companion is not None and where.parent.is_dir():
+            parts += [p for p in where.parent.iterdir() if p.suffix.lower() == companion]
+        parts += [Path(value) for value in (options or {}).values() if isinstance(value, str) and os.path.isfile(value)]
         stats = [part.stat() for part in parts]
     except OSError:
         return []

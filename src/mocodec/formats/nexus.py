@@ -20,12 +20,15 @@ HEAD_ROWS = 5
 """Rows of a section before its numbers."""
 
 
-def sections(rows: Sequence[list[str]]) -> dict[str, list[list[str]]]:
-    """The rows of each section by title; the first of repeated ones."""
+def sections(rows: Sequence[list[str]], notes: list[str]) -> dict[str, list[list[str]]]:
+    """The rows of each section by title; the first of repeated ones, the others are noted."""
     starts = [i for i, row in enumerate(rows) if row[0].lower() in TITLES and not any(row[1:])]
     found: dict[str, list[list[str]]] = {}
     for start, end in zip(starts, [*starts[1:], len(rows)], strict=True):
-        found.setdefault(rows[start][0].lower(), list(rows[start:end]))
+        title = rows[start][0].lower()
+        if title in found:
+            notes.append(f"another section {title} is not read")
+        found.setdefault(title, list(rows[start:end]))
     return found
 
 

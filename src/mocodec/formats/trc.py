@@ -106,6 +106,8 @@ def motion_of(
         body = _body(lines, names_at)
         if salvage:
             header, body = _salvaged(header, body, is_cut_in_line, notes)
+        elif is_cut_in_line and _ends_early(body):
+            raise BadInput("cut off: its last row ends early; --salvage (salvage=True) leaves it out")
         header = header._replace(frames=len(body.rows)) if header.frames is None or is_part else header
         names, table, decimals = _rows(header, body, str(path), notes)
         clock = trc_clock.of_columns(table[:, :2], decimals, Declared(header.rate, header.frames), rate, notes)
@@ -204,6 +206,12 @@ def _begins_with_axis(line: str) -> bool:
         float(word.replace(",", "."))
         return False
     return not is_gap(word)
+
+
+def _ends_early(body: _Body) -> bool:
+    """Whether the last row has fewer cells than any other."""
+    cells = [row.count("\t") if body.tabs else len(row.split()) for row in body.rows]
+    return len(cells) > 1 and cells[-1] < min(cells[:-1])
 
 
 def _salvaged(header: _Header, body: _Body, is_cut_in_line: bool, notes: list[str]) -> tuple[_Header, _Body]:

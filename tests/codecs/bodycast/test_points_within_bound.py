@@ -142,6 +142,14 @@ def test_every_point_has_a_decoded_one_within_the_bound_and_back(clouds, encoded
     assert found.psnr > 35
 
 
+def test_bytes_and_points_do_not_depend_on_threads(performance, clouds):
+    codec = Bodycast(max_error=0.004, skeleton=performance.skeleton(), chunk_frames=2)
+    alone, together = (mc.encode(clouds, codec, threads=threads) for threads in (1, 2))
+    assert alone == together
+    pairs = zip(*(mc.decode(alone, PointClouds, threads=threads).positions for threads in (1, 2)), strict=True)
+    assert all(np.array_equal(a, b) for a, b in pairs)
+
+
 def test_the_surface_saves_bytes(clouds, encoded):
     alone = Bodycast(max_error=0.002, chunk_frames=3)._point_chunks(
         [], _frames(clouds), _spans(encoded), True, 0, {"max_error": 0.002}

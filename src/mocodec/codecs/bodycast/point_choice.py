@@ -103,10 +103,13 @@ def _candidates(points: Integers, reach: int, depth: int) -> _Choices:
 
 def _near_samples(frame: LatticeFrame, hints: SurfaceHints) -> Integers:
     """(n,): the sample near the lattice point of each point, −1 without one."""
+    reach = NEAR_SPACINGS * hints.spacing
+    if native.kernel("OctreeSurface") is not None:
+        return np.asarray(hints.compiled.near_samples(frame.codes.astype(np.uint64), frame.rows, reach))
     nearest = point_octree.samples_of_points(frame.codes, hints)[frame.rows]
     own = np.maximum(nearest, 0)
     apart = octree.cells_of_codes(frame.codes)[frame.rows] * (1 << SUBUNIT_BITS) - hints.points[own]
-    return np.where(_squares(apart) <= (NEAR_SPACINGS * hints.spacing) ** 2, nearest, -1)
+    return np.where(_squares(apart) <= reach**2, nearest, -1)
 
 
 def _squares(vectors: Integers) -> Integers:
@@ -125,17 +128,29 @@ def _classes(points: Integers, samples: Integers, choices: _Choices, hints: Surf
     """(c,): the class of each cell's distance from the surface that the points around it show; and the bits that tell
     which class-wide part of the surface's area a lattice point lies in.
     """
-    known = np.flatnonzero(samples >= 0)
-    if not len(known):
+    if not (samples >= 0).any():
         return np.full(len(choices.first), FAR), 0.0
+    if (kernel := native.kernel("cell_classes")) is not None:
+        of_candidates = choices.point, choices.cells, choices.first
+        found, width = kernel(points, samples, *of_candidates, hints.points, hints.normals, hints.neighbours)
+        classes = np.asarray(found)
+    else:
+        classes, width = _classes_in_numpy(points, samples, choices, hints)
+    area = SAMPLE_SHARE * len(hints.points) * (hints.spacing / (1 << SUBUNIT_BITS)) ** 2
+    return classes, float(np.log2(area * 2 * width / UNIT / 4))  # a lattice point has four cubic units
+
+
+def _classes_in_numpy(
+    points: Integers, samples: Integers, choices: _Choices, hints: SurfaceHints
+) -> tuple[Integers, int]:
+    """The classes (c,) of `_classes`, and their width, 2^-FINE_BITS units. Some points have a sample."""
+    known = np.flatnonzero(samples >= 0)
     distance, rows = _distances(points[known], samples[known], hints), samples[known]
     offsets = hints.mean_around(distance, rows, 0, PRIOR_COUNT)
     width = max(int(np.abs(distance - offsets[rows]).mean()) // CLASSES_PER_DEVIATION, 1)
     of_cells = samples[choices.point[choices.first]]
     away = np.abs(_distances(choices.cells[choices.first] * UNIT, of_cells, hints) - offsets[of_cells])
-    classes = np.where(of_cells >= 0, np.minimum(away // width, CLASSES - 1), FAR)
-    area = SAMPLE_SHARE * len(hints.points) * (hints.spacing / (1 << SUBUNIT_BITS)) ** 2
-    return classes, float(np.log2(area * 2 * width / UNIT / 4))  # a lattice point has four cubic units
+    return np.where(of_cells >= 0, np.minimum(away // width, CLASSES - 1), FAR), width
 
 
 def _costs(classes: Integers, is_used: Booleans, bits_of_area: float) -> Integers:
@@ -163,16 +178,22 @@ def _errors(
     one candidate have no choice: their errors stay 0.
     """
     own = (np.cumsum(is_used) - 1)[choices.cell_of[choices.nearest]]  # among the cells that are used
-    first = choices.first[is_used]
-    sample_of_used = np.zeros(len(first), np.int64)
+    used = choices.cells[choices.first[is_used]]
+    sample_of_used = np.zeros(len(used), np.int64)
     sample_of_used[own] = samples
+    stay_cost = round(LAMBDA * UNIT**2 * STAY_BITS)
+    if (kernel := native.kernel("candidate_errors")) is not None:
+        of_points = points, choices.starts, choices.cells, choices.squares, samples, own
+        spacing = min(hints.spacing, point_smoothing.MAX_SPACING)
+        surface = hints.normals, hints.neighbours, spacing
+        return np.asarray(kernel(*of_points, used, sample_of_used, *surface, reach, stay_cost))
     some = np.flatnonzero(np.diff(choices.starts)[choices.point] > 1)
     point, cells = choices.point[some], choices.cells[some]
     candidates = Candidates(cells, samples[point], own[point])
-    moves = point_smoothing.candidate_moves(candidates, choices.cells[first], sample_of_used, hints)
+    moves = point_smoothing.candidate_moves(candidates, used, sample_of_used, hints)
     shifts = point_smoothing.shifts_of_moves(moves, samples[point], hints)
     moved = _squares(cells * UNIT + shifts - points[point])
-    stays = choices.squares[some] + round(LAMBDA * UNIT**2 * STAY_BITS) * (moves != 0)
+    stays = choices.squares[some] + stay_cost * (moves != 0)
     errors = np.zeros(len(choices.point), np.int64)
     errors[some] = np.where(moved <= reach**2, moved, stays)
     return errors

@@ -5,12 +5,12 @@ target ─► bound of the lattice, colour step ─► chunks ─► decoded ─
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from typing import NamedTuple
 
 import numpy as np
 
-from ... import progress
+from ... import parallel, progress
 from ...errors import CannotEncode
 from ...metrics import point_clouds
 from ...typing import Bytes, Floats
@@ -62,15 +62,24 @@ class PointEncoder:
         self._last: tuple[float, list[_CodedChunk]] | None = None
 
     def encode(self, target: PointTarget) -> list[bytes]:
-        """The part of each chunk. Raises CannotEncode if the target cannot be met."""
+        """The part of each chunk. Raises CannotEncode if the target cannot be met.
+
+        With threads, the places of a chunk are coded beside the colours and the check of the chunk before it.
+        """
         bound = self.bound(target)
-        chunks = self._places(bound)
         steps = self._usual_steps(bound)
+        chunks: Iterable[_CodedChunk] = parallel.ahead(self._coded_chunks(bound))
         if self.coloured and target.psnr is not None:
+            chunks = self._places(bound)
             steps = self._steps_of_psnr(chunks, bound, target.psnr)
-        coded = [chunk.with_colours(steps) for chunk in chunks]
-        self._check([part for part, _ in coded], [colours for _, colours in coded], chunks, bound)
-        return [part for part, _ in coded]
+        elif self._last is not None and self._last[0] == bound:
+            chunks = self._last[1]
+        parts = list[bytes]()
+        for number, chunk in zip(progress.over(range(len(self.spans))), chunks, strict=True):
+            part, colours = chunk.with_colours(steps)
+            self._check(number, part, colours, chunk.pairs(), bound)
+            parts.append(part)
+        return parts
 
     def bound(self, target: PointTarget) -> float:
         """The bound of the lattice that meets the target, metres."""
@@ -106,13 +115,16 @@ class PointEncoder:
         """The chunks without their colours. The last ones are kept: a search ends with a bound that it has coded."""
         if self._last is not None and self._last[0] == bound:
             return self._last[1]
-        chunks = list[_CodedChunk]()
+        chunks = list(self._coded_chunks(bound))
+        self._last = bound, chunks
+        return chunks
+
+    def _coded_chunks(self, bound: float) -> Iterator[_CodedChunk]:
+        """The chunks without their colours, one after the other."""
         for span, bodies in zip(self.spans, self.bodies, strict=True):
             reach = bound / point_choice.FREEDOM if bodies.textures else bound
             grid, frames = to_lattice(self.frames[span], reach, self.coloured)
-            chunks.append(_CodedChunk(pack_places(grid, frames, bodies, bound)))
-        self._last = bound, chunks
-        return chunks
+            yield _CodedChunk(pack_places(grid, frames, bodies, bound))
 
     def _steps_of_psnr(self, chunks: Sequence[_CodedChunk], bound: float, psnr: float) -> ColourSteps:
         """The coarsest steps whose colours have this PSNR: bisection. Raises CannotEncode if none have."""
@@ -136,24 +148,25 @@ class PointEncoder:
 
     def _check(
         self,
-        parts: Sequence[bytes],
-        colours: Sequence[Sequence[Bytes]],
-        chunks: Sequence[_CodedChunk],
+        number: int,
+        part: bytes,
+        colours: Sequence[Bytes],
+        pairs: Sequence[tuple[LatticeFrame, LocatedPoints]],
         bound: float,
     ) -> None:
-        """Decodes all chunks, compares them, and measures all points. Raises CannotEncode."""
-        rows = list(zip(parts, colours, chunks, self.spans, self.bodies, strict=True))
-        for part, expected, chunk, span, bodies in progress.over(rows):
-            pairs = chunk.pairs()
-            decoded = unpack_points(part, span.stop - span.start, bodies, self.coloured)
-            filled = (cloud for cloud in decoded if len(cloud[0]))
-            wanted = zip(pairs, expected if self.coloured else [None] * len(pairs), strict=True)
-            for ((_, located), colour), (points, own) in zip(wanted, filled, strict=True):
-                same = np.array_equal(points, located.positions)
-                if not same or (colour is not None and not np.array_equal(colour, np.asarray(own))):
-                    raise CannotEncode("bodycast: the decoded points are not those that were coded")
-            if any(frame.own_distances(located.positions).max() > bound for frame, located in pairs):
-                raise CannotEncode(f"bodycast cannot bound the error of these points by {bound * 1000:g} mm")
+        """Decodes a chunk, compares its points and colours with the coded ones, and measures all points. number: of the
+        chunk. Raises CannotEncode.
+        """
+        span = self.spans[number]
+        decoded = unpack_points(part, span.stop - span.start, self.bodies[number], self.coloured)
+        filled = (cloud for cloud in decoded if len(cloud[0]))
+        wanted = zip(pairs, colours if self.coloured else [None] * len(pairs), strict=True)
+        for ((_, located), colour), (points, own) in zip(wanted, filled, strict=True):
+            same = np.array_equal(points, located.positions)
+            if not same or (colour is not None and not np.array_equal(colour, np.asarray(own))):
+                raise CannotEncode("bodycast: the decoded points are not those that were coded")
+        if any(frame.own_distances(located.positions).max() > bound for frame, located in pairs):
+            raise CannotEncode(f"bodycast cannot bound the error of these points by {bound * 1000:g} mm")
 
 
 class _CodedChunk(NamedTuple):

@@ -15,6 +15,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from ... import parallel
 from ...entropy import varint
 from ...entropy.bit_arrays import BitCoder, BitDecoder, BitEncoder
 from ...errors import Corrupt
@@ -51,6 +52,7 @@ CUBED      as SMOOTHED, with the octrees of `cube_octree`
 REFERRED   stands before a part of kind LEARNED, SMOOTHED or CUBED, whose frames refer to earlier ones
 """
 POINTS_PER_BYTE = 8 * 16384  # most points that a byte of coded data can stand for
+FRAMES_AHEAD = 2  # whose places another thread has decoded before their colours
 
 
 class LocatedPoints(NamedTuple):
@@ -180,12 +182,14 @@ def join(coded: CodedPlaces, steps: ColourSteps | None, colours: bytes) -> bytes
 
 
 def unpack_points(data: bytes, frames: int, bodies: ChunkBodies, coloured: bool) -> Iterator[Cloud]:
-    """The inverse of `join`, frame by frame, in the order of the octree. Raises Corrupt."""
+    """The inverse of `join`, frame by frame, in the order of the octree. With threads, the places of the next frames
+    are decoded beside the colours of a frame. Raises Corrupt.
+    """
     places = PlacesDecoder(data, frames, bodies, coloured)
     kind, steps, table = places.head.kind, places.head.steps, places.table
     colours = BitDecoder(places.rest)
     memory = ColoursOfChunk(table, ColourSteps(*steps)) if kind != UNLEARNED and coloured else None
-    for k, located in enumerate(places.frames()):
+    for k, located in enumerate(parallel.ahead(places.frames(), FRAMES_AHEAD)):
         cloud = no_points(coloured)
         if located is not None:
             colour = None

@@ -119,8 +119,6 @@ def samples_of_points(codes: Integers, surface: SurfaceHints) -> Integers:
     """(points,): a sample of the surface near each of the sorted distinct Morton codes, −1 without one: those that
     `code_octree` returns.
     """
-    if native.kernel("OctreeSurface") is not None:
-        return np.asarray(surface.compiled.samples_of_points(codes.astype(np.uint64)))
     depth, before, nearest = surface.depth, np.zeros(1, np.int64), np.full(1, -1)
     for level in range(depth + 1):
         cubes = np.unique(codes >> 3 * (depth - level))

@@ -70,9 +70,6 @@ class Candidates(NamedTuple):
 
 def candidate_moves(candidates: Candidates, cells: Integers, samples: Integers, hints: SurfaceHints) -> Integers:
     """(k,): the moves of candidates among points at cells (n, 3). samples (n,): as in `smooth`."""
-    if (kernel := native.kernel("moves_of_candidates")) is not None:
-        spacing = min(hints.spacing, MAX_SPACING)
-        return np.asarray(kernel(*candidates, cells, samples, hints.normals, hints.neighbours, spacing))
     return _moves(candidates, cells, samples, hints)[0]
 
 

@@ -55,9 +55,9 @@ SKETCH_HZ, SKETCH_SHARE = 15.0, 0.5
 """Before the first coding of many points there is a sketch, with a basis fitted to frequencies below SKETCH_HZ only,
 since people hardly move faster, where these are at most SKETCH_SHARE of all."""
 
-SKETCH_EXCEEDS, SKETCH_EXCEEDS_PER_SHARE = 1.01, 0.3
-"""The sketch takes up to SKETCH_EXCEEDS times the bytes of the first coding, and more by the second for components that
-are as many as its frequencies: then there are components of noise."""
+SKETCH_EXCEEDS, FEW_COMPONENTS, SKETCH_EXCEEDS_PER_SHARE = 1.01, 0.1, 0.4
+"""The sketch takes up to SKETCH_EXCEEDS times the bytes of the first coding where its components are up to
+FEW_COMPONENTS of its frequencies, and more in proportion where they are more: then there are components of noise."""
 
 STRETCH_FRAMES = 1000
 """Length of the stretch of a long recording that is coded first. It looks better than the whole, since it is less
@@ -216,7 +216,8 @@ def _has_sketch(motion: Motion) -> bool:
 def _sketch_exceeds(sketch: MotionEncoder) -> float:
     """How many times the bytes of the first coding a sketch takes at most."""
     components = sketch.quantised(sketch.codec.first_rung).header.components
-    return SKETCH_EXCEEDS + SKETCH_EXCEEDS_PER_SHARE * components / max(1, sketch.prepared.fitted_frequencies or 0)
+    share = components / max(1, sketch.prepared.fitted_frequencies or 0)
+    return SKETCH_EXCEEDS + SKETCH_EXCEEDS_PER_SHARE * max(0.0, share - FEW_COMPONENTS)
 
 
 def _estimate(encoder: MotionEncoder, most: float, times: float = 1.0, chunks: int = SAMPLED_CHUNKS) -> float:

@@ -49,6 +49,8 @@ def parse(text: str) -> list[Joint]:
                 raise BadInput(f"its joints are nested more than {MAX_DEPTH} deep")
             stack.append(latest)
         elif key == "}":
+            if not stack:
+                raise BadInput("its hierarchy has a } without a {")
             stack.pop()
         elif key == "OFFSET":
             joints[stack[-1]].offset = words[1:4]

@@ -175,6 +175,10 @@ def settle(
     if counts and frames in claims and header.last < MAX_COUNT:
         others = ", ".join(map(str, counts))
         notes.append(f"its counts of frames are {others} and {frames}; the size of the file gives {frames} frames")
+    end = start + frames * layout.frame_bytes
+    behind = start + available - end
+    if behind >= max(2 * BLOCK, layout.frame_bytes) and any(data[end : end + min(behind, MAX_TESTED_BYTES)]):
+        notes.append(f"behind its {frames} declared frames are {behind} more bytes, which are not read")
     return layout, frames
 
 
@@ -283,6 +287,7 @@ def _exact(layout: Layout, claims: list[int], data: Bytes, start: int, available
         rest = start + claim * size
         if start + available - rest < BLOCK and not any(data[rest : start + available]):
             return claim
+    fitting = [claim for claim in fitting if claim != MAX_COUNT or available - claim * size < size]  # or more frames
     return fitting[-1] if fitting else 0
 
 

@@ -14,7 +14,6 @@ from collections.abc import Callable, Sequence
 from typing import NamedTuple
 
 import numpy as np
-from scipy.ndimage import maximum_filter1d
 
 from ...errors import CannotEncode
 from ...typing import Booleans, Floats, Integers
@@ -64,6 +63,8 @@ def fit(properties: Sequence[Property], errors_of: Callable[[list[Floats]], Floa
     errors_of: from samples of the properties, for each property and frame the largest error (properties, frames) of
     what it moves, metres. Raises CannotEncode if keys at every frame do not suffice.
     """
+    from scipy.ndimage import maximum_filter1d
+
     if not properties:
         return []
     frames = len(properties[0].values)
