@@ -40,6 +40,8 @@ SAMPLED_FRAMES = 200
 """Frames that neighbours are chosen by."""
 CANDIDATES, MANY_POINTS, CANDIDATES_OF_MANY = 64, 128, 24
 """This many of the nearest points are considered as neighbours of each; fewer of many points, which lie closer."""
+DISTANCES_TOGETHER = 1 << 22
+"""Number of distances between points that are in memory together."""
 LEAST_DISTANCE_M = 0.005
 """Points nearer than this to each other have no direction from one to the other."""
 
@@ -127,9 +129,14 @@ def _candidates(some: Floats) -> Integers:
     count = min(CANDIDATES if points <= MANY_POINTS else CANDIDATES_OF_MANY, points - 1)
     flat = np.ascontiguousarray(some[:: max(1, len(some) // 8)].swapaxes(0, 1)).reshape(points, -1)
     squares = (flat**2).sum(axis=1)
-    distance = squares[:, None] + squares - 2 * flat @ flat.T
-    np.fill_diagonal(distance, np.inf)
-    return np.sort(np.argpartition(distance, count - 1, axis=1)[:, :count], axis=1)
+    near = np.empty((points, count), np.intp)
+    rows = max(1, DISTANCES_TOGETHER // points)
+    for start in range(0, points, rows):
+        block = slice(start, min(points, start + rows))
+        distance = squares[block, None] + squares - 2 * flat[block] @ flat.T
+        np.fill_diagonal(distance[:, block], np.inf)
+        near[block] = np.sort(np.argpartition(distance, count - 1, axis=1)[:, :count], axis=1)
+    return near
 
 
 def _pairs(some: Floats, near: Integers) -> tuple[Floats, Floats]:
