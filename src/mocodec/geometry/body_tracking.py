@@ -110,8 +110,8 @@ class BodyTracker(PoseSolver):
         A frame that does not show the body leaves the pose as it is: one of fewer than 10 points, or one in which most
         points are elsewhere.
         """
-        finite = np.isfinite(points).all(axis=1)
-        if not finite.all():
+        if not np.isfinite(points).all():
+            finite = np.isfinite(points).all(axis=1)
             points, colours = points[finite], None if colours is None else colours[finite]
         if len(points) < MIN_POINTS:
             self.previous_pose = self.pose
