@@ -221,7 +221,7 @@ def test_frames_without_a_body_fall_back_to_points():
         plain = PointClouds(positions, 15.0)
         decoded = mc.decode(mc.encode(plain), PointClouds)
         assert measures.errors(plain, decoded).max_error <= point_targets.DEFAULT_BOUND_M
-    with pytest.raises(BadInput, match="0 bodies"):
+    with pytest.raises(BadInput, match="without a body"):
         Bodycast.track(Bodycast().encode(clouds))
 
 
