@@ -5,10 +5,11 @@ from __future__ import annotations
 import json
 import os
 import shutil
+import signal
 import subprocess
 import threading
 from collections.abc import Iterator
-from contextlib import ExitStack
+from contextlib import ExitStack, suppress
 from pathlib import Path
 from typing import Any
 
@@ -39,21 +40,47 @@ HOSTILE = "<img src=x onerror=\"document.title='broken'\">"
 
 
 def drive(commands: list[dict[str, Any]], tmp_path: Path) -> list[Any]:
-    """Run commands of web/viewer/test/browser.mjs; returns its answers. No error may appear in the page's console."""
+    """Run commands of web/viewer/test/browser.mjs; returns its answers. No error may appear in the page's console.
+
+    Chromium hangs at times as it starts, so a run without an end is tried a second time.
+    """
     (tmp_path / "commands.json").write_text(json.dumps(commands))
-    made = subprocess.run(
-        ["node", str(WEB / "test" / "browser.mjs"), str(tmp_path / "commands.json")],
-        capture_output=True,
-        text=True,
-        timeout=240,
-        env={**os.environ, "MOCODEC_CHROMIUM": str(CHROMIUM)},
-    )
+    made = run(tmp_path / "commands.json", 100) or run(tmp_path / "commands.json", 240)
+    assert made is not None, "the browser hangs"
     assert made.returncode == 0, made.stderr
     result = json.loads(made.stdout)
     assert "failed" not in result, result
     assert result["problems"] == []
     answers: list[Any] = result["answers"]
     return answers
+
+
+def run(script: Path, seconds: float) -> subprocess.CompletedProcess[str] | None:
+    """Run a file of commands in the browser; None if it takes longer, and then no process of it is left."""
+    command = ["node", str(WEB / "test" / "browser.mjs"), str(script)]
+    environment = {**os.environ, "MOCODEC_CHROMIUM": str(CHROMIUM)}
+    with subprocess.Popen(
+        command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, env=environment
+    ) as process:
+        try:
+            output, errors = process.communicate(timeout=seconds)
+        except subprocess.TimeoutExpired:
+            for number in (*descendants(process.pid), process.pid):
+                with suppress(ProcessLookupError):
+                    os.kill(number, signal.SIGKILL)
+            return None
+        return subprocess.CompletedProcess(command, process.returncode, output, errors)
+
+
+def descendants(parent: int) -> list[int]:
+    """The numbers of all processes below a process; none where there is no /proc."""
+    children = list[int]()
+    for stat in Path("/proc").glob("[0-9]*/stat"):
+        with suppress(OSError):
+            fields = stat.read_text().rpartition(")")[2].split()
+            if int(fields[1]) == parent:
+                children.append(int(stat.parent.name))
+    return [number for child in children for number in (*descendants(child), child)]
 
 
 def seek(frame: int) -> list[dict[str, Any]]:
