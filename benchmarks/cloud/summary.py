@@ -82,7 +82,8 @@ def _long_row(run: dict[str, Any]) -> list[str]:
 GPCC_TEXT = (
     "How many times as many bytes G-PCC needs. Its bytes at our error are interpolated between its cited results, in "
     "the logarithms of bytes and error; beyond its coarsest result (2,720 bytes at 0.83 and 0.52 cm) they are "
-    "extrapolated. Its recording is another one of the same kind; a second perfect sample there scores 0.78 cm D1."
+    "extrapolated, and finer errors than its finest result have a dash. Its recording is another one of the same kind; "
+    "a second perfect sample there scores 0.78 cm D1."
 )
 
 
@@ -167,7 +168,12 @@ def _against_gpcc(run: dict[str, Any] | None) -> str:
 
 
 def _gpcc_factor(size: float, error: float, column: int) -> str:
-    """G-PCC's bytes over `size` at an error in centimetres: D1 (column 1) or D2 (column 2)."""
+    """G-PCC's bytes over `size` at an error in centimetres: D1 (column 1) or D2 (column 2).
+
+    A dash for finer errors than are cited.
+    """
+    if error < GPCC_BYTES[0][column]:
+        return "–"
     points = np.log([[p[column], p[0]] for p in GPCC_BYTES])
     i = int(np.clip(np.searchsorted(points[:, 0], np.log(error)), 1, len(points) - 1))
     (x0, y0), (x1, y1) = points[i - 1], points[i]
