@@ -72,8 +72,8 @@ class PreparedMotion:
     rows: Mᵀ, with the weights of `weight_rungs`. lengths (N,): L_i. clip_frames: L; 0 if clips are adaptive.
     rung_offsets (N,): rungs to add to the common quantisation step of each clip. frequencies (N,): l_i at most; None
     for no limit. components: k at most; None for as many as reduce the cost. fitted: B of these rows; None if `learned`
-    holds left transforms from a database. fitted_frequencies: where there is no limit, B is fitted to so many of the
-    lowest frequencies of the whole motion; None for all. The other fields are those of `Hou2014` and `SharedHeader`.
+    holds left transforms from a database. fitted_frequencies: where there is no limit, B is fitted to this number of
+    the lowest frequencies of the whole motion; None for all. The others are those of `Hou2014` and `SharedHeader`.
     """
 
     points: int

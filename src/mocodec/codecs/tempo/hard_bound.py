@@ -230,7 +230,7 @@ class _LatticeTrials:
         return found
 
     def _transform_bytes(self, draft: Draft | None) -> float:
-        """Of a chunk, with its share of the model; infinite where the transform does not code it."""
+        """Bytes of a chunk, with its share of the model; infinite where the transform does not code it."""
         return np.inf if draft is None or draft.numbers is None else draft.bits / 8 + self.share
 
     def _learn(self, encoder: ChunkEncoder, transform_bytes: float, lattice_bytes: int) -> None:

@@ -164,8 +164,8 @@ def _posed_into(poses: Floats, scales: Floats, bones: BoneMotion) -> list[Guess]
 
 
 def _nearest_bones(poses: Floats, joints: Floats, parents: Integers) -> tuple[Integers, Floats, Floats]:
-    """Of each point of poses (guesses, points, 3): the nearest bone, (guesses, points); where along it the point is,
-    0 at its start to 1 at its joint, (guesses, points, 1); and the distance, (guesses, points).
+    """The nearest bone of each point of poses (guesses, points, 3): its number, (guesses, points); where along it the
+    point is, 0 at its start to 1 at its joint, (guesses, points, 1); and the distance, (guesses, points).
 
     joints (guesses, bones, 3).
     """

@@ -22,7 +22,7 @@ from ..pose import heading
 from .coordinates import Coordinates, PointCoordinates
 
 MANY_ROWS, SPARSE_ROWS = 256, 0.5
-"""Of more rows than MANY_ROWS, only those with coefficients are multiplied where they are less than this share."""
+"""With more than MANY_ROWS rows, of which less than this share have coefficients, only these are multiplied."""
 BAND_EDGES_MHZ = (700, 2000, 5000)
 """Each band of frequencies between these has a basis of its own."""
 BANDS = len(BAND_EDGES_MHZ) + 1

@@ -81,7 +81,7 @@ def _series(x: Floats, terms: Sequence[float]) -> Floats:
 
 
 def squared_length(vectors: Floats) -> Floats:
-    """Of vectors (n, …), summed from the first coordinate on: `einsum` may fuse multiplications and additions."""
+    """Squared length of vectors (n, …), summed from the first coordinate on: `einsum` may fuse products and sums."""
     out = vectors[0] * vectors[0]
     for coordinate in vectors[1:]:
         out += coordinate * coordinate

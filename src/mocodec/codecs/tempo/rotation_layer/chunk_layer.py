@@ -28,9 +28,9 @@ LEAST_SHARE = 1e-3
 GRIDS = 60
 """Number of times that the grid of direct coding is halved, at most."""
 CORRECTIONS = ((0.6, 1), (0.4, 2), (0.4, 2), (0.2, 3), (0.2, 4), (0.05, 5), (0.05, 6), (0.0125, 8))
-"""Round after round: corrections bring targets within this share of the bound, and correct what moves the joint itself
-and so many joints in all up its chain. Angles that targets show badly need these more exactly; a joint whose angles are
-coded keeps the errors of those above it. A chunk that all rounds leave beyond the bound is coded directly."""
+"""For each round: corrections bring targets within this share of the bound, and correct the causes at this number of
+joints, from the joint itself up its chain. Angles that targets show badly need these more exactly; a joint whose angles
+are coded keeps the errors of those above it. A chunk that all rounds leave beyond the bound is coded directly."""
 
 RARE_CORRECTIONS = ((0.8, 1), (0.8, 2), *CORRECTIONS)
 """The same under a mean error, where few samples are beyond the bound; the first rounds are left out where the mean
