@@ -194,6 +194,15 @@ def test_colours_that_only_later_frames_have_are_noted(tmp_path):
     )
 
 
+def test_a_comment_that_is_no_axis_is_no_vertical_axis(tmp_path):
+    ply.write(tmp_path / "f1.ply", PointClouds([np.zeros((1, 3))], 5.0, up="z"), encoding="ascii")
+    assert ply.read(tmp_path).up == "z"
+    (tmp_path / "f1.ply").write_text((tmp_path / "f1.ply").read_text().replace("up z", "up north"))
+    assert ply.read(tmp_path).up == "y"
+    with pytest.raises(BadInput, match="up must be one of x, y, z"):
+        PointClouds([np.zeros((1, 3))], 5.0, up="north")
+
+
 def test_names_of_properties_in_upper_case(tmp_path):
     ascii_file(tmp_path / "f1.ply", "0 0 0 1 2 3\n1 1 1 4 5 6", kind="uchar")
     header, rows = (tmp_path / "f1.ply").read_text().split("end_header")

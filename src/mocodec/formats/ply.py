@@ -14,6 +14,7 @@ import re
 import shutil
 from collections.abc import Generator, Sequence
 from contextlib import contextmanager
+from itertools import pairwise
 from os import PathLike
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -21,6 +22,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from ..errors import BadInput, Truncated
+from ..motion import UP_AXES
 from ..pointcloud import PointClouds
 from ..selection import counted
 from ..typing import Bytes, Floats
@@ -123,7 +125,7 @@ def read(
             rate=float(hertz),
             colours=colours,
             normals=normals,
-            up=up or comments.get("up", "y"),
+            up=up or (comments["up"] if comments.get("up") in UP_AXES else "y"),
             source=source,
         )
     except ValueError as error:
@@ -220,7 +222,7 @@ def write(
         raise BadInput(f"{target}: is a file, not a folder")
     old = sorted(target.glob("*.ply"))
     if old and not overwrite:
-        raise BadInput(f"{target}: already has {len(old)} .ply files; name an empty folder, or pass overwrite=True")
+        raise BadInput(f"{target}: already has {len(old)} .ply files; name a new folder (overwrite=True replaces them)")
     with _frames_together(Path(os.path.realpath(target)), old) as folder:
         for frame in range(len(clouds)):
             (folder / f"frame_{frame:06d}.ply").write_bytes(frame_bytes(clouds, frame, encoding))
@@ -269,7 +271,7 @@ def missing_numbers(files: list[Path]) -> int:
     if len(files) < 3 or not all(numbers):
         return 0
     values = [int(number[0]) for number in numbers]
-    steps = [after - before for before, after in zip(values, values[1:], strict=False)]
+    steps = [after - before for before, after in pairwise(values)]
     usual = sorted(steps)[len(steps) // 2]
     if usual <= 0 or any(step <= 0 or step % usual for step in steps):
         return 0
