@@ -152,8 +152,9 @@ def encode(
 
     Targets, at most one of the first four; without any, tempo moves no point of any frame by more than 5 mm:
 
-    max_error: metres (2 mm is 0.002; a warning says so from 0.5 on); no point of any frame is farther off. Where rotations are kept, this holds for joints and points
-    3 cm off them; of point clouds, errors are distances to the nearest point of the other cloud, in both directions.
+    max_error: metres (2 mm is 0.002; a warning says so from 0.5 on); no point of any frame is farther off. Where
+    rotations are kept, this holds for joints and points 3 cm off them; of point clouds, errors are distances to the
+    nearest point of the other cloud, in both directions.
     mean_error: metres; the mean over all points and frames is not larger.
     ratio: size as float32 positions (`raw_bytes`) over size of the file without extras, at least.
     size: bytes of the file, at most.
