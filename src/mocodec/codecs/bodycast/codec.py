@@ -101,7 +101,8 @@ class Bodycast:
         """
         if isinstance(clouds, Motion):
             raise CannotEncode("bodycast codes point clouds, not motions")
-        self._require_settings()
+        self.require_settings()
+        self._require_colours(clouds)
         if self.residual == EXACT and any(np.isinf(points).any() for points in clouds.positions):
             raise CannotEncode("residual exact cannot keep points at infinity: leave them out")
         frames = [usable_points(clouds, frame) for frame in range(len(clouds))]
@@ -194,7 +195,7 @@ class Bodycast:
     def _percent(self) -> float:
         return 0.0 if isinstance(self.residual, str) else float(self.residual)
 
-    def _require_settings(self) -> None:
+    def require_settings(self) -> None:
         if (isinstance(self.residual, str) and self.residual != EXACT) or not 0 <= self._percent <= 100:
             raise BadInput(f'residual is a percentage from 0 to 100, or "{EXACT}"')
         if not 100 <= self.cells <= 1_000_000 or not (self.points is None or 1 <= self.points <= MAX_POINTS):
@@ -219,6 +220,11 @@ class Bodycast:
         """Whether a target says how close the points are, not the residual."""
         is_given = any(getattr(self, name) is not None for name in EXCLUSIVE)
         return is_given or (self.psnr is not None and self._percent <= SURFACE_PERCENT)
+
+    def _require_colours(self, clouds: PointClouds) -> None:
+        """Raises CannotEncode for a target of the colours of points without colours."""
+        if self.psnr is not None and clouds.colours is None:
+            raise CannotEncode("psnr is a target for the colours of points, and these points have none: leave it out")
 
     def _require_range(self, clouds: PointClouds, spans: Sequence[slice]) -> None:
         """Raises CannotEncode, before any body is tracked, for points too far apart for the target.

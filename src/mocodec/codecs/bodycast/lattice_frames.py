@@ -43,9 +43,14 @@ class LatticeFrame(NamedTuple):
             return np.asarray(kernel(self.originals, decoded, self.rows))
         return np.sqrt(lattice.squares(self.originals - decoded[self.rows]))
 
-    def with_cells(self, cells: Integers) -> LatticeFrame:
-        """The same points in other cells (m, 3)."""
-        return _lattice_frame(cells, self.originals, self.own_colours)
+    def with_cells(self, cells: Integers, corner: Integers) -> LatticeFrame:
+        """The same points in cells (m, 3), with codes from a corner (3,)."""
+        return self.with_codes(*_distinct_codes(cells, corner))
+
+    def with_codes(self, codes: Integers, rows: Integers) -> LatticeFrame:
+        """The same points with other `codes` and `rows`."""
+        colours = None if self.own_colours is None else _mean_colours(self.own_colours, rows, len(codes))
+        return LatticeFrame(codes, colours, self.originals, rows, self.own_colours)
 
 
 @dataclass(frozen=True)
@@ -82,8 +87,10 @@ def to_lattice(frames: Sequence[Cloud], bound_m: float, coloured: bool) -> tuple
     places = [lattice.nearest(points, step) for points, _ in frames]
     grid = _grid([p for p in places if len(p)], step, bound_m)
     pairs = zip(places, frames, strict=True)
+    nothing = np.zeros(0, np.int64)
     return grid, [
-        _lattice_frame(place - grid.corner, points, colours if coloured else None) for place, (points, colours) in pairs
+        LatticeFrame(nothing, None, points, nothing, colours if coloured else None).with_cells(place, grid.corner)
+        for place, (points, colours) in pairs
     ]
 
 
@@ -113,8 +120,11 @@ def _step_of_bound(bound_m: float) -> float:
 
 def _grid(filled: Sequence[Integers], step: float, bound_m: float) -> LatticeGrid:
     """The grid of lattice points (n, 3) of frames with points. Raises CannotEncode for points too far apart."""
-    corner = np.min([p.min(axis=0) for p in filled], axis=0) // 2 * 2 if filled else np.zeros(3, np.int64)
-    depth = max((int((p.max(axis=0) - corner).max()).bit_length() for p in filled), default=0)
+    corner, depth = np.zeros(3, np.int64), 0
+    if filled:
+        boxes = np.stack([_box(p) for p in filled])
+        corner = boxes[:, 0].min(axis=0) // 2 * 2
+        depth = int((boxes[:, 1] - corner).max()).bit_length()
     if depth > point_octree.MAX_DEPTH or np.abs(corner).max() >= MAX_CORNER:
         limit_m = 2**point_octree.MAX_DEPTH * step
         raise CannotEncode(
@@ -124,27 +134,25 @@ def _grid(filled: Sequence[Integers], step: float, bound_m: float) -> LatticeGri
     return LatticeGrid(step, corner, depth)
 
 
-def _lattice_frame(coordinates: Integers, points: Floats, colours: Bytes | None) -> LatticeFrame:
-    """Points of one cell become one, with their mean colour."""
-    if not len(points):
-        return LatticeFrame(np.zeros(0, np.int64), colours, points, np.zeros(0, np.int64), colours)
-    codes, order = _sorted_with_order(octree.morton_codes(coordinates))
-    is_first = np.diff(codes, prepend=-1) > 0
-    starts = np.flatnonzero(is_first)
-    rows = np.empty(len(codes), np.int64)
-    rows[order] = np.cumsum(is_first) - 1
-    if colours is None:
-        return LatticeFrame(codes[starts], None, points, rows)
-    count = np.diff(starts, append=len(codes))
-    sums = np.add.reduceat(colours[order].astype(np.float64), starts, axis=0)
-    return LatticeFrame(codes[starts], np.round(sums / count[:, None]).astype(np.uint8), points, rows, colours)
+def _box(cells: Integers) -> Integers:
+    """(2, 3): the least and the largest coordinates of cells (n, 3), n > 0."""
+    if (kernel := native.kernel("box_of_cells")) is not None:
+        return np.asarray(kernel(cells))
+    return np.stack([cells.min(axis=0), cells.max(axis=0)])
 
 
-def _sorted_with_order(codes: Integers) -> tuple[Integers, Integers]:
-    """Codes (n,) ≥ 0 in order, and the rows that they had. Code and row in one integer sort faster than rows alone."""
-    row_bits = (len(codes) - 1).bit_length()
-    if int(codes.max()).bit_length() + row_bits > 63:
-        order = np.argsort(codes, kind="stable")
-        return codes[order], order
-    both = np.sort(codes << row_bits | np.arange(len(codes)))
-    return both >> row_bits, both & (1 << row_bits) - 1
+def _distinct_codes(cells: Integers, corner: Integers) -> tuple[Integers, Integers]:
+    """The `codes` and `rows` of a frame with points in cells (m, 3), from a corner (3,)."""
+    if (kernel := native.kernel("distinct_codes")) is not None:
+        codes, rows = kernel(cells, corner)
+        return np.asarray(codes), np.asarray(rows)
+    codes, rows = np.unique(octree.morton_codes(cells - corner), return_inverse=True)
+    return codes, rows.reshape(-1)
+
+
+def _mean_colours(colours: Bytes, rows: Integers, count: int) -> Bytes:
+    """(count, 3): the mean of the colours (m, 3) at each of the rows (m,), halves rounded to even."""
+    if (kernel := native.kernel("mean_colours")) is not None:
+        return np.asarray(kernel(colours, rows, count))
+    sums = np.stack([np.bincount(rows, column, count) for column in colours.T], axis=1)
+    return np.round(sums / np.bincount(rows, minlength=count)[:, None]).astype(np.uint8)
