@@ -86,6 +86,16 @@ class KdTree {
         return found.row;
     }
 
+    // `nearest`, but faster if row `guess` is near the query; −1: no guess.
+    int64_t nearest_from(int64_t guess, const double *query, double &limit) const {
+        Nearest found{limit, -1};
+        if (guess >= 0)
+            if (const double square = squared_distance_from(size_t(guess), query); square < limit) found.offer(square, guess);
+        search(query, found);
+        limit = found.square;
+        return found.row;
+    }
+
     double squared_distance_from(size_t row, const double *query) const {
         return coloured ? squared_distance_in<6>(query, point(row)) : squared_distance_in<3>(query, point(row));
     }
