@@ -142,8 +142,7 @@ public:
         shown.children = bits_of(known);
         for (size_t d = 0; d < 3; ++d)
             shown.place[d] = corner_of(cubes_.places[i][d]) + share_[size_t(shown.children)][size_t(bits_of(known & UPPER[d]))];
-        const size_t sample = size_t(cubes_.nearest[i]);
-        near_.put(sample, size_t(row - first_shown_[sample]), shown.place, least_[size_t(shown.children)]);
+        near_.put(size_t(row), size_t(cubes_.nearest[i]), shown.place, least_[size_t(shown.children)]);
     }
 
     int samples(size_t i, int octant) const { return samples_[i][size_t(octant)]; }
