@@ -33,6 +33,7 @@ COMMANDS = {
     "cloud-objects": ("cloud.object_scenes:command", "Props, animals, robes and several people, against an octree."),
     "cloud-points": ("cloud.points:command", "Points within a bound against Draco, at equal error."),
     "cloud-speed": ("cloud.speed:command", "Speed of point clouds within a bound, by the length of the recording."),
+    "cloud-stream": ("cloud.packets:command", "Packets with all points of a frame, against a file."),
     "cloud-summary": ("cloud.summary:command", "Requirements and results of point clouds on one page."),
     "tracking": ("cloud.tracking:command", "Tracking and recovery of a body: eight motions."),
     "first-poses": ("cloud.first_poses:command", "First poses without a skeleton."),

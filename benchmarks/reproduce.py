@@ -34,6 +34,7 @@ def commands(folder: Path) -> list[list[str]]:
         ["cloud-points", *output],
         ["cloud-objects", *output],
         ["cloud-speed", *output],
+        ["cloud-stream", *output],
         ["tracking", *output],
         ["first-poses", *output],
         ["cloud-summary", str(folder)],
@@ -77,7 +78,7 @@ def write_tables(folder: Path) -> list[Path]:
     Without cloud.md: the stored table was written from numbers with more digits than cloud.json has.
     """
     from .archive import tables as archive_tables
-    from .cloud import first_poses, grid, object_scenes, points_report, speed, summary
+    from .cloud import first_poses, grid, object_scenes, packets, points_report, speed, summary
     from .motion import command as motion_command
     from .papers import hou2014, lien2006, liu2006
 
@@ -87,6 +88,7 @@ def write_tables(folder: Path) -> list[Path]:
         "cloud_points": points_report.write_tables,
         "cloud_objects": object_scenes.write_tables,
         "cloud_speed": speed.write_tables,
+        "cloud_stream": packets.write_tables,
     }  # fmt: skip
     paths = [write(folder) for name, write in writers.items() if (folder / f"{name}.json").is_file()]
     paths.append(summary.write_tables(folder))

@@ -19,6 +19,7 @@ BLOCKS = re.findall(r"```(console|python)\n(.*?)```", README, re.DOTALL)
 
 def test_commands_and_code_run(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     pytest.importorskip("matplotlib", reason="drawing needs the [plot] extra")
+    pytest.importorskip("av", reason="the surface of a person needs the [cloud] extra")
     monkeypatch.chdir(tmp_path)
     names: dict[str, object] = {}
     for language, block in BLOCKS:

@@ -5,7 +5,9 @@
 #include <cmath>
 #include <limits>
 
+#include "key_order.h"
 #include "octree_surface.h"
+#include "rounding.h"
 
 namespace {
 
@@ -17,12 +19,6 @@ void require(bool good) {
 }
 
 double square(double x, double y, double z) { return x * x + y * y + z * z; }
-
-// Rounds to the nearest integer, halves to even: adding 1.5 · 2^52 leaves no bits below 1.
-double rounded(double value) {
-    constexpr double ALIGNED = 6755399441055744.0;
-    return std::abs(value) < 1e15 ? (value + ALIGNED) - ALIGNED : std::nearbyint(value);
-}
 
 // Numbers beyond 64 bits become the least integer, as in NumPy on most processors.
 int64_t whole(double value) {
@@ -116,6 +112,43 @@ Output<int64_t> cells_of_codes(Input<int64_t, 1> codes) {
     return cells.give({n, 3});
 }
 
+// (codes, rows): the sorted distinct codes of cells (n, 3), with coordinates 0 … 2^20 − 1, and which of them is that of each.
+nb::tuple distinct_codes(Numbers cells) {
+    const size_t n = cells.shape(0);
+    require(cells.shape(1) == 3 && n <= std::numeric_limits<uint32_t>::max());
+    std::vector<KeyOfRow> sorted(n);
+    for (size_t i = 0; i < n; ++i) {
+        const int64_t *cell = cells.data() + 3 * i;
+        sorted[i] = {point_octree::morton_code(cell[0], cell[1], cell[2]), uint32_t(i)};
+    }
+    sort_keys(sorted);
+    Fresh<int64_t> codes(n), rows(n);
+    size_t count = 0;
+    for (size_t i = 0; i < n; ++i) {
+        if (!i || sorted[i].key != sorted[i - 1].key) codes.data[count++] = int64_t(sorted[i].key);
+        rows.data[sorted[i].row] = int64_t(count) - 1;
+    }
+    return nb::make_tuple(codes.give({count}), rows.give({n}));
+}
+
+// The mean colour of each of `count` rows, halves rounded to even: colours (n, 3) at rows (n). Each row has colours.
+Output<uint8_t> mean_colours(Input<uint8_t, 2> colours, Input<int64_t, 1> rows, size_t count) {
+    const size_t n = rows.shape(0);
+    require(colours.shape(0) == n && colours.shape(1) == 3);
+    std::vector<std::array<int64_t, 4>> sums(count, {0, 0, 0, 0});
+    for (size_t i = 0; i < n; ++i) {
+        require(rows.data()[i] >= 0 && size_t(rows.data()[i]) < count);
+        std::array<int64_t, 4> &sum = sums[size_t(rows.data()[i])];
+        for (size_t d = 0; d < 3; ++d) sum[d] += colours.data()[3 * i + d];
+        ++sum[3];
+    }
+    Fresh<uint8_t> means(3 * count);
+    for (size_t row = 0; row < count; ++row)
+        for (size_t d = 0; d < 3; ++d)
+            means.data[3 * row + d] = uint8_t(rounded(double(sums[row][d]) / double(std::max<int64_t>(sums[row][3], 1))));
+    return means.give({count, 3});
+}
+
 // Median of the squared distances of points (m, 3) from their first neighbours; neighbours (m, k).
 int64_t median_gap(Numbers points, Numbers neighbours) {
     const size_t m = points.shape(0);
@@ -144,5 +177,7 @@ void bind_lattice_frames(nb::module_ &m) {
     m.def("places_of_cells", &places_of_cells);
     m.def("morton_codes", &morton_codes);
     m.def("cells_of_codes", &cells_of_codes);
+    m.def("distinct_codes", &distinct_codes);
+    m.def("mean_colours", &mean_colours);
     m.def("median_gap", &median_gap);
 }

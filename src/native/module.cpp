@@ -20,6 +20,8 @@
 //                   for geometry/normals.py (neighbour_cells.h)
 //   link_surfaces.cpp     points around the cylinders of links, for geometry/articulated_icp.py; capsules.h: distances from
 //                   capsules, for geometry/capsules.py
+//   first_pose.cpp  costs of poses, for geometry/pose_search.py (pose_scorer.h), and fits of pose and proportions, for
+//                   geometry/body_fit.py (capsule_fitter.h)
 //   lattice.cpp     the lattice engine, for stages/lattice.py; its parts are lattice.h, lattice_points.h and adaptive_bits.h
 //   lattice_neighbours.cpp  choice of neighbours, for stages/lattice.py
 //   joint_rotations.cpp   rotations of joints from positions, for codecs/tempo/rotation_layer and geometry/kinematics.py
@@ -64,7 +66,7 @@ namespace nb = nanobind;
     PART(point_smoothing) PART(positions) PART(link_surfaces) PART(state_stream) PART(body_frames) \
     PART(ordered) PART(lattice_neighbours) PART(marker_fitting)         \
     PART(reference_surface) PART(ppca) PART(point_choice) PART(lattice_frames) PART(clip_synthesis) PART(clip_lengths) PART(clip_quantiser) \
-    PART(motion_segments) PART(bounded)
+    PART(motion_segments) PART(bounded) PART(first_pose)
 
 #define DECLARE(name) void bind_##name(nb::module_ &);
 PARTS(DECLARE)

@@ -13,6 +13,7 @@
 #include "algebra3.h"
 #include "joint_limits.h"
 #include "skinned_body.h"
+#include "tree_solver.h"
 
 class NormalEquations {
   public:
@@ -95,37 +96,8 @@ class NormalEquations {
             for (int j = 0; j < 3; ++j) h[(3 + 3 * link + i) * unknowns + 3 + 3 * link + j] += strength * world[i] * world[j];
     }
 
-    // Replaces g by the solution x, with a Cholesky decomposition from the last unknown to the first: a joint then
-    // couples only to its ancestors and to the few links that share its skin. False if h is not positive definite.
-    bool solve() {
-        const size_t n = unknowns;
-        std::vector<size_t> coupled;
-        coupled.reserve(n);
-        for (size_t j = n; j-- > 0;) {
-            double *row = &h[j * n];
-            if (!(row[j] > 0)) return false;
-            const double scale = 1 / std::sqrt(row[j]);
-            coupled.clear();
-            for (size_t k = 0; k < j; ++k)
-                if (row[k] != 0) row[k] *= scale, coupled.push_back(k);
-            row[j] *= scale;
-            g[j] *= scale;
-            for (size_t i : coupled) {
-                double *other = &h[i * n];
-                for (size_t k : coupled) {
-                    if (k > i) break;
-                    other[k] -= row[i] * row[k];
-                }
-                g[i] -= row[i] * g[j];
-            }
-        }
-        for (size_t i = 0; i < n; ++i) {
-            double sum = g[i];
-            for (size_t k = 0; k < i; ++k) sum -= h[i * n + k] * g[k];
-            g[i] = sum / h[i * n + i];
-        }
-        return true;
-    }
+    // Replaces g by the solution x. False if h is not positive definite.
+    bool solve() { return solve_symmetric(h, g); }
 
     const double *solution() const { return g.data(); }
 

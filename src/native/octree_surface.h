@@ -215,6 +215,9 @@ public:
     // Input row of a sample. Samples are stored in the order of their cells, which is the order of cubes.
     int64_t given_row(int32_t row) const { return row < 0 ? row : given_rows_[size_t(row)]; }
 
+    // The inverse: the row at which an input row is stored.
+    int32_t own_row(int64_t given) const { return given < 0 ? NOWHERE : own_rows_[size_t(given)]; }
+
     int depth() const { return depth_; }
     size_t size() const { return points_.size(); }
     int64_t spacing() const { return spacing_; }
@@ -227,10 +230,13 @@ public:
     int64_t child_size(int level) const { return int64_t(1) << child_bits(level); }
     int child_bits(int level) const { return SUBUNIT_BITS + depth_ - level - 1; }
 
+    // Whether cubes of this level are small enough for samples near them.
+    bool has_samples(int level) const { return !points_.empty() && 2 * child_size(level) <= COARSEST_SPACINGS * spacing_; }
+
     // Replaces the sample of each cube's parent by one near the cube's centre.
     void attach(const std::vector<std::array<int32_t, 3>> &places, int level, std::vector<int32_t> &nearest) const {
         const int64_t size = 2 * child_size(level);
-        if (points_.empty() || size > COARSEST_SPACINGS * spacing_) {
+        if (!has_samples(level)) {
             std::fill(nearest.begin(), nearest.end(), NOWHERE);
             return;
         }

@@ -1,52 +1,147 @@
 // Chooses lattice points for the points of a frame, for codecs/bodycast/point_choice.py, which defines the results.
 //
-//     candidates of each point, errors, costs of cells ─► points change cells ─► cells open for several ─► choices
+//     points ─► candidates, cells ─► classes of the cells' distances from the surface ─► how many points have each class
+//     costs of classes, errors of candidates ─► points change cells ─► cells open for several ─► codes of the chosen cells
 
 #include <algorithm>
+#include <array>
 #include <cstdint>
+#include <cstdlib>
 #include <limits>
 #include <stdexcept>
 #include <vector>
 
 #include "key_order.h"
-#include "octree_surface.h"
 #include "point_moves.h"
+#include "rounding.h"
+#include "samples_of_points.h"
 
 namespace {
 
-using point_moves::Numbers;
+using point_moves::Cell;
+using point_moves::FINE_BITS;
+using point_octree::NEIGHBOURS;
+using point_octree::NOWHERE;
+using point_octree::Surface;
 
-using Rows = Input<int64_t, 1>;
+constexpr int32_t UNIT = 1 << FINE_BITS;
+constexpr int64_t SUBUNIT = UNIT >> point_octree::SUBUNIT_BITS;
+constexpr size_t CLASSES = 64;
+constexpr int64_t CLASSES_PER_DEVIATION = 8, PRIOR_COUNT = 2;
 
+// The lattice points within reach of points, grouped by the cell that they are.
+struct Candidates {
+    std::vector<int32_t> starts;           // (n + 1): point i has candidates starts[i] … starts[i + 1] − 1
+    std::vector<int32_t> nearest;          // (n): the candidate nearest to each point
+    std::vector<Cell> places;              // (k)
+    std::vector<int32_t> squares;          // (k): squared distances from the point, 2^-2 FINE_BITS units
+    std::vector<int32_t> point, cell_of;   // (k): the point of each; the number of its cell
+    std::vector<uint64_t> codes;           // (c): of the distinct cells, in order
+    std::vector<int32_t> first, members;   // (c + 1), (k): cell c has candidates members[first[c]] … in their order
+
+    // points: 2^-FINE_BITS units. reach: in that unit. depth: of the octree.
+    Candidates(const std::vector<Cell> &points, int64_t reach, int depth)
+        : most_(int32_t(std::min<int64_t>(reach * reach, OUTSIDE - 1))), end_(1 << depth) {
+        starts.reserve(points.size() + 1);
+        nearest.reserve(points.size());
+        starts.push_back(0);
+        for (size_t i = 0; i < points.size(); ++i) {
+            add(points[i], int32_t(i));
+            nearest.push_back(int32_t(std::min_element(squares.begin() + starts.back(), squares.end()) - squares.begin()));
+            starts.push_back(int32_t(squares.size()));
+        }
+        group();
+    }
+
+    int32_t count(size_t i) const { return starts[i + 1] - starts[i]; }
+    const Cell &place_of_cell(size_t c) const { return places[size_t(members[size_t(first[c])])]; }
+
+private:
+    static constexpr int32_t OUTSIDE = 1 << 28;  // squared distance of lattice points outside the octree
+
+    // The two coordinates of a parity that are nearest along an axis, and their squared distances.
+    struct Axis {
+        std::array<int32_t, 2> at, squares;
+    };
+
+    Axis axis_of(int32_t place, int32_t parity) const {
+        const int32_t base = 2 * ((place - parity * UNIT + UNIT) >> (FINE_BITS + 1)) + parity;
+        const int32_t away = place - base * UNIT, rest = 2 * UNIT - std::abs(away);
+        const int32_t next = base + (away < 0 ? -2 : 2);
+        const auto square = [&](int32_t at, int32_t apart) { return at >= 0 && at < end_ ? apart * apart : OUTSIDE; };
+        return {{base, next}, {square(base, away), square(next, rest)}};
+    }
+
+    // Adds the lattice points of a point that are within reach and within the octree; at least the nearest.
+    void add(const Cell &place, int32_t number) {
+        std::array<std::array<Axis, 3>, 2> axes;
+        int32_t least = OUTSIDE;
+        for (size_t parity = 0; parity < 2; ++parity) {
+            int32_t square = 0;
+            for (size_t d = 0; d < 3; ++d) {
+                axes[parity][d] = axis_of(place[d], int32_t(parity));
+                square += std::min(axes[parity][d].squares[0], axes[parity][d].squares[1]);
+            }
+            least = std::min(least, square);
+        }
+        if (least >= OUTSIDE) throw std::invalid_argument("PointChoice: a point outside the octree");
+        const int32_t most = std::max(most_, least);
+        for (const auto &[x, y, z] : axes)
+            for (size_t c = 0; c < 2; ++c)
+                for (size_t b = 0; z.squares[c] <= most && b < 2; ++b)
+                    for (size_t a = 0; y.squares[b] + z.squares[c] <= most && a < 2; ++a) {
+                        const int32_t square = x.squares[a] + y.squares[b] + z.squares[c];
+                        if (square > most) continue;
+                        places.push_back({x.at[a], y.at[b], z.at[c]});
+                        squares.push_back(square);
+                        point.push_back(number);
+                    }
+    }
+
+    void group() {
+        const size_t k = places.size();
+        if (k > size_t(std::numeric_limits<int32_t>::max())) throw std::invalid_argument("PointChoice: too many points");
+        std::vector<KeyOfRow> sorted(k);
+        for (size_t j = 0; j < k; ++j) sorted[j] = {point_octree::morton_code(places[j][0], places[j][1], places[j][2]), uint32_t(j)};
+        sort_keys(sorted);
+        cell_of.resize(k);
+        members.resize(k);
+        for (size_t j = 0; j < k; ++j) {
+            if (!j || sorted[j].key != sorted[j - 1].key) {
+                codes.push_back(sorted[j].key);
+                first.push_back(int32_t(j));
+            }
+            members[j] = int32_t(sorted[j].row);
+            cell_of[sorted[j].row] = int32_t(codes.size()) - 1;
+        }
+        first.push_back(int32_t(k));
+    }
+
+    const int32_t most_, end_;
+};
+
+// _PointsAndCells: which candidate each point has, while points and cells change.
 class Choice {
 public:
-    // starts (n + 1): point i has candidates starts[i] … starts[i + 1] − 1. cell_of, errors (k): of candidates.
-    Choice(const Rows &starts, const Rows &cell_of, const Rows &errors, const Rows &costs, const Rows &chosen)
-        : starts_(starts.data()), cell_of_(cell_of.data()), errors_(errors.data()), costs_(costs.data()),
-          points_(chosen.shape(0)), cells_(costs.shape(0)), chosen_(chosen.data(), chosen.data() + points_),
-          users_(cells_, 0), first_(cells_ + 1, 0), members_(cell_of.shape(0)), point_of_(cell_of.shape(0)) {
-        for (size_t i = 0; i < points_; ++i) {
-            ++users_[cell(i)];
-            for (int64_t k = starts_[i]; k < starts_[i + 1]; ++k) point_of_[size_t(k)] = int32_t(i);
-        }
-        const size_t candidates = members_.size();
-        for (size_t k = 0; k < candidates; ++k) ++first_[size_t(cell_of_[k]) + 1];
-        for (size_t c = 0; c < cells_; ++c) first_[c + 1] += first_[c];
-        std::vector<int32_t> next(first_.begin(), first_.end() - 1);
-        for (size_t k = 0; k < candidates; ++k) members_[size_t(next[size_t(cell_of_[k])]++)] = int32_t(k);
+    // errors (k): of candidates; costs (c): of cells.
+    Choice(const Candidates &of, const std::vector<int32_t> &errors, const std::vector<int64_t> &costs)
+        : of_(of), errors_(errors), costs_(costs), chosen_(of.nearest), users_(of.codes.size(), 0) {
+        for (size_t i = 0; i < chosen_.size(); ++i) ++users_[cell(i)];
     }
 
     // Moves each point to its cheapest candidate while the other points stay. Returns whether any point changed.
     bool change_points() {
         bool changed = false;
-        for (size_t i = 0; i < points_; ++i) {
-            const int64_t own = chosen_[i];
-            const int64_t own_cell = cell_of_[own];
-            int64_t best = own, least = errors_[own] + (users_[size_t(own_cell)] == 1 ? costs_[own_cell] : 0);
-            for (int64_t k = starts_[i]; k < starts_[i + 1]; ++k) {
-                const int64_t other = cell_of_[k];
+        for (size_t i = 0; i < chosen_.size(); ++i) {
+            if (of_.count(i) < 2) continue;
+            const int32_t own = chosen_[i];
+            const size_t own_cell = cell(i);
+            int32_t best = own;
+            int64_t least = errors_[size_t(own)] + (users_[own_cell] == 1 ? costs_[own_cell] : 0);
+            for (int32_t k = of_.starts[i]; k < of_.starts[i + 1]; ++k) {
+                const size_t other = size_t(of_.cell_of[size_t(k)]);
                 if (other == own_cell) continue;
-                const int64_t total = errors_[k] + (users_[size_t(other)] ? 0 : costs_[other]);
+                const int64_t total = errors_[size_t(k)] + (users_[other] ? 0 : costs_[other]);
                 if (total < least) least = total, best = k;
             }
             if (best == own) continue;
@@ -56,224 +151,72 @@ public:
         return changed;
     }
 
-    // Moves all points that gain by it to a cell, if together they gain more than the
-    // cell costs. Returns whether any changed.
+    // Moves all points that gain by it to a cell, if together they gain more than the cell costs. Returns whether any
+    // changed.
     bool open_cells() {
         bool changed = false;
         std::vector<int32_t> taken;
-        for (size_t c = 0; c < cells_; ++c) {
-            if (first_[c + 1] - first_[c] < 2) continue;
+        for (size_t c = 0; c < users_.size(); ++c) {
+            if (of_.first[c + 1] - of_.first[c] < 2) continue;
             int64_t gain = users_[c] ? 0 : -costs_[c];
             taken.clear();
-            for (int32_t at = first_[c]; at < first_[c + 1]; ++at) {
-                const int32_t k = members_[size_t(at)];
-                const int64_t own = chosen_[size_t(point_of_[size_t(k)])];
+            for (int32_t at = of_.first[c]; at < of_.first[c + 1]; ++at) {
+                const int32_t k = of_.members[size_t(at)], own = chosen_[size_t(of_.point[size_t(k)])];
                 if (own == k) continue;
-                const size_t own_cell = size_t(cell_of_[own]);
-                const int64_t saved = errors_[own] - errors_[k] + (users_[own_cell] == 1 ? costs_[own_cell] : 0);
+                const size_t own_cell = size_t(of_.cell_of[size_t(own)]);
+                const int64_t closed = users_[own_cell] == 1 ? costs_[own_cell] : 0;
+                const int64_t saved = errors_[size_t(own)] - errors_[size_t(k)] + closed;
                 if (saved <= 0) continue;
                 gain += saved;
                 --users_[own_cell];  // the last point that leaves a cell closes it
                 taken.push_back(k);
             }
-            for (int32_t k : taken) ++users_[size_t(cell_of_[chosen_[size_t(point_of_[size_t(k)])]])];
+            for (int32_t k : taken) ++users_[cell(size_t(of_.point[size_t(k)]))];
             if (gain <= 0 || taken.empty()) continue;
-            for (int32_t k : taken) move(size_t(point_of_[size_t(k)]), k);
+            for (int32_t k : taken) move(size_t(of_.point[size_t(k)]), k);
             changed = true;
         }
         return changed;
     }
 
-    const std::vector<int64_t> &chosen() const { return chosen_; }
+    // The cell of a point.
+    size_t cell(size_t point) const { return size_t(of_.cell_of[size_t(chosen_[point])]); }
+    const std::vector<int32_t> &users() const { return users_; }
 
 private:
-    size_t cell(size_t point) const { return size_t(cell_of_[chosen_[point]]); }
-
-    void move(size_t point, int64_t candidate) {
+    void move(size_t point, int32_t candidate) {
         --users_[cell(point)];
         chosen_[point] = candidate;
         ++users_[cell(point)];
     }
 
-    const int64_t *starts_, *cell_of_, *errors_, *costs_;
-    const size_t points_, cells_;
-    std::vector<int64_t> chosen_;
-    std::vector<int32_t> users_, first_, members_, point_of_;
+    const Candidates &of_;
+    const std::vector<int32_t> &errors_;
+    const std::vector<int64_t> &costs_;
+    std::vector<int32_t> chosen_, users_;
 };
 
-// Candidates (n) of the points after some rounds. chosen (n): initial candidates.
-Output<int64_t> choose_candidates(Rows starts, Rows cell_of, Rows errors, Rows costs, Rows chosen, int rounds) {
-    const size_t n = chosen.shape(0), k = cell_of.shape(0);
-    bool good = starts.shape(0) == n + 1 && errors.shape(0) == k && k < size_t(std::numeric_limits<int32_t>::max());
-    for (size_t i = 0; good && i < n; ++i)
-        good = starts.data()[i] >= 0 && starts.data()[i] <= chosen.data()[i] && chosen.data()[i] < starts.data()[i + 1] &&
-               starts.data()[i + 1] <= int64_t(k);
-    for (size_t i = 0; good && i < k; ++i) good = cell_of.data()[i] >= 0 && size_t(cell_of.data()[i]) < costs.shape(0);
-    if (!good) throw std::invalid_argument("choose_candidates: shapes differ, or a candidate is not there");
-    Choice choice(starts, cell_of, errors, costs, chosen);
-    {
-        nb::gil_scoped_release release;
-        for (int round = 0; round < rounds; ++round) {
-            const bool moved = choice.change_points();
-            if (!choice.open_cells() && !moved) break;
-        }
-    }
-    Fresh<int64_t> result(n);
-    for (size_t i = 0; i < n; ++i) result.data[i] = choice.chosen()[i];
-    return result.give({n});
-}
-
-constexpr int FINE_BITS = point_moves::FINE_BITS;
-constexpr int64_t UNIT = 1 << FINE_BITS;
-
-struct Candidate {
-    std::array<int64_t, 3> cell;
-    int64_t square, point;
-};
-
-// Adds the lattice points within reach of a point and within 0 … end − 1 along each axis; at least the nearest.
-void add_candidates(const int64_t *place, int64_t point, int64_t reach, int64_t end, std::vector<Candidate> &found) {
-    Candidate inside[16];
-    int count = 0;
-    int64_t most = std::numeric_limits<int64_t>::max();
-    for (int parity = 0; parity < 2; ++parity) {
-        int64_t cells[3][2], squares[3][2];
-        for (int d = 0; d < 3; ++d) {
-            const int64_t base = 2 * ((place[d] - parity * UNIT + UNIT) >> (FINE_BITS + 1)) + parity;
-            const int64_t away = place[d] - base * UNIT, rest = 2 * UNIT - (away < 0 ? -away : away);
-            cells[d][0] = base, cells[d][1] = base + (away < 0 ? -2 : 2);
-            squares[d][0] = away * away, squares[d][1] = rest * rest;
-        }
-        for (int corner = 0; corner < 8; ++corner) {
-            const int x = corner & 1, y = corner >> 1 & 1, z = corner >> 2;
-            const Candidate own{{cells[0][x], cells[1][y], cells[2][z]}, squares[0][x] + squares[1][y] + squares[2][z], point};
-            if (!std::all_of(own.cell.begin(), own.cell.end(), [&](int64_t v) { return v >= 0 && v < end; })) continue;
-            inside[count++] = own;
-            most = std::min(most, own.square);
-        }
-    }
-    most = std::max(most, reach * reach);
-    for (int k = 0; k < count; ++k)
-        if (inside[k].square <= most) found.push_back(inside[k]);
-}
-
-// Fields starts, point, cells, squares, cell_of, first, nearest of _Choices, for points (n, 3) and an octree of this depth.
-nb::tuple lattice_candidates(Input<int64_t, 2> points, int64_t reach, int depth) {
-    const size_t n = points.shape(0);
-    if (points.shape(1) != 3 || depth < 0 || depth > 20) throw std::invalid_argument("lattice_candidates: shapes differ");
-    std::vector<Candidate> found;
-    found.reserve(2 * n);
-    Fresh<int64_t> starts(n + 1), nearest(n);
-    for (size_t i = 0; i < n; ++i) {
-        starts.data[i] = int64_t(found.size());
-        add_candidates(points.data() + 3 * i, int64_t(i), reach, int64_t(1) << depth, found);
-        if (size_t(starts.data[i]) == found.size()) throw std::invalid_argument("lattice_candidates: a point outside the octree");
-        const auto is_nearer = [](const Candidate &a, const Candidate &b) { return a.square < b.square; };
-        nearest.data[i] = std::min_element(found.begin() + starts.data[i], found.end(), is_nearer) - found.begin();
-    }
-    const size_t k = found.size();
-    if (k > std::numeric_limits<uint32_t>::max()) throw std::invalid_argument("lattice_candidates: too many points");
-    starts.data[n] = int64_t(k);
-    Fresh<int64_t> point(k), cells(3 * k), squares(k), cell_of(k);
-    std::vector<KeyOfRow> sorted(k);
-    for (size_t j = 0; j < k; ++j) {
-        const Candidate &own = found[j];
-        point.data[j] = own.point, squares.data[j] = own.square;
-        std::copy(own.cell.begin(), own.cell.end(), cells.data.get() + 3 * j);
-        sorted[j] = {point_octree::morton_code(own.cell[0], own.cell[1], own.cell[2]), uint32_t(j)};
-    }
-    sort_keys(sorted);
-    std::vector<int64_t> firsts;
-    for (size_t j = 0; j < k; ++j) {
-        if (!j || sorted[j].key != sorted[j - 1].key) firsts.push_back(sorted[j].row);
-        cell_of.data[sorted[j].row] = int64_t(firsts.size()) - 1;
-    }
-    Fresh<int64_t> first(firsts.size());
-    std::copy(firsts.begin(), firsts.end(), first.data.get());
-    return nb::make_tuple(starts.give({n + 1}), point.give({k}), cells.give({k, 3}), squares.give({k}), cell_of.give({k}),
-                          first.give({firsts.size()}), nearest.give({n}));
-}
-
-constexpr int64_t CLASSES = 64, CLASSES_PER_DEVIATION = 8, PRIOR_COUNT = 2, SUBUNIT = UNIT >> point_octree::SUBUNIT_BITS;
-
-// The distance of a place from the tangent plane of a sample, as _distances.
-int64_t distance_from(const int64_t *place, const int64_t *sample, const int64_t *normal) {
-    int64_t sum = 0;
-    for (size_t d = 0; d < 3; ++d) sum += (place[d] - sample[d] * SUBUNIT) * normal[d];
-    return sum >> point_moves::NORMAL_BITS;
-}
-
-// _classes: (classes of cells (c), their width). points (n, 3) with samples (n); candidates: point (k), cells (k, 3); first (c): of
-// the candidates of each cell; sampled (m, 3): samples.
-nb::tuple cell_classes(Numbers points, Rows samples, Rows point, Numbers cells, Rows first, Numbers sampled, Numbers normals,
-                       Numbers neighbours) {
-    const size_t n = samples.shape(0), k = point.shape(0), m = sampled.shape(0), count = first.shape(0);
-    point_moves::require_shapes(points, samples, normals, neighbours, 1);
-    bool good = sampled.shape(1) == 3 && normals.shape(0) == m && cells.shape(0) == k && cells.shape(1) == 3;
-    for (size_t j = 0; good && j < k; ++j) good = point.data()[j] >= 0 && size_t(point.data()[j]) < n;
-    for (size_t c = 0; good && c < count; ++c) good = first.data()[c] >= 0 && size_t(first.data()[c]) < k;
-    if (!good) throw std::invalid_argument("cell_classes: shapes differ, or a row is not there");
-    const auto distance = [&](const int64_t *place, int64_t s) {
-        return distance_from(place, sampled.data() + 3 * s, normals.data() + 3 * s);
-    };
-    std::vector<int64_t> distances(n), total(m, 0), members(m, 0), offsets(m);
-    int64_t known = 0;
-    for (size_t i = 0; i < n; ++i) {
-        const int64_t s = samples.data()[i];
-        if (s < 0) continue;
-        distances[i] = distance(points.data() + 3 * i, s);
-        total[size_t(s)] += distances[i];
-        ++members[size_t(s)];
-        ++known;
-    }
-    for (size_t s = 0; s < m; ++s) {
-        int64_t sum = total[s], points_around = members[s] + PRIOR_COUNT;
-        for (size_t j = 0; j < neighbours.shape(1); ++j) {
-            const size_t other = size_t(neighbours.data()[s * neighbours.shape(1) + j]);
-            sum += total[other], points_around += members[other];
-        }
-        offsets[s] = floor_quotient(sum, points_around);
-    }
-    int64_t away = 0;
-    for (size_t i = 0; i < n; ++i)
-        if (samples.data()[i] >= 0) away += std::abs(distances[i] - offsets[size_t(samples.data()[i])]);
-    const int64_t width = std::max<int64_t>(int64_t(double(away) / double(std::max<int64_t>(known, 1))) / CLASSES_PER_DEVIATION, 1);
-    Fresh<int64_t> classes(count);
-    for (size_t c = 0; c < count; ++c) {
-        const size_t candidate = size_t(first.data()[c]);
-        const int64_t s = samples.data()[point.data()[candidate]];
-        classes.data[c] = CLASSES;
-        if (s < 0) continue;
-        int64_t place[3];
-        for (size_t d = 0; d < 3; ++d) place[d] = cells.data()[3 * candidate + d] * UNIT;
-        classes.data[c] = std::min(std::abs(distance(place, s) - offsets[size_t(s)]) / width, CLASSES - 1);
-    }
-    return nb::make_tuple(classes.give({count}), width);
-}
-
-// The points of a frame with a choice, the lattice points that are used, and the samples near both, as _errors has them.
-struct ChoicesOfPoints {
-    Numbers points;
-    Rows starts;
-    Numbers cells;
-    Rows squares, samples, own;
-    Numbers used;
-    Rows sample_of_used;
+// The lattice points that points have before the choice, with the sample near each.
+struct UsedPoints {
+    std::vector<int32_t> of_point;  // (n): which of them each point has
+    std::vector<Cell> cells;
+    std::vector<int32_t> samples;
 };
 
 // _errors: squared distances of points from their candidates as they are decoded while other lattice points are used.
 class CandidateErrors {
 public:
-    // reach: of points, 2^-FINE_BITS units. stay_cost: of a candidate that does not keep the bound where it moves.
-    CandidateErrors(const ChoicesOfPoints &of, const Numbers &normals, const Numbers &neighbours, int64_t spacing, int64_t reach,
-                    int64_t stay_cost, int64_t *errors)
-        : of_(of), normals_(normals), reach_(reach * reach), stay_cost_(stay_cost), errors_(errors),
-          used_(of.sample_of_used.data(), of.sample_of_used.shape(0), normals.shape(0)),
-          near_(used_, of.used, normals, neighbours, spacing), around_(of.used, normals, neighbours, spacing) {}
+    // samples (n): near points. reach: of points, 2^-FINE_BITS units. stay_cost: of a candidate that does not keep the
+    // bound where it moves.
+    CandidateErrors(const std::vector<Cell> &points, const Candidates &of, const std::vector<int32_t> &samples, const UsedPoints &used,
+                    const Surface &surface, int64_t spacing, int64_t reach, int64_t stay_cost, std::vector<int32_t> &errors)
+        : points_(points), of_(of), samples_(samples), used_(used), surface_(surface), reach_(reach * reach), stay_cost_(stay_cost),
+          errors_(errors), references_(used.samples.data(), used.samples.size(), surface.size()),
+          near_(references_, used.cells, surface, spacing), around_(used.cells, surface, spacing) {}
 
     void find() {
-        const size_t n = of_.samples.shape(0), m = normals_.shape(0);
-        point_moves::PointsOfSamples points(of_.samples.data(), n, m);
+        const size_t n = samples_.size(), m = surface_.size();
+        point_moves::PointsOfSamples points(samples_.data(), n, m);
         for (size_t s = 0; s < m; ++s) {
             const auto first = points.points.begin() + points.first[s], last = points.points.begin() + points.first[s + 1];
             const auto end = std::remove_if(first, last, [&](int32_t i) { return !has_choice(size_t(i)); });
@@ -286,19 +229,18 @@ public:
             }
         }
         for (size_t i = 0; i < n; ++i)  // without a sample nothing moves
-            if (of_.samples.data()[i] < 0 && has_choice(i))
-                std::copy_n(of_.squares.data() + of_.starts.data()[i], candidates(i), errors_ + of_.starts.data()[i]);
+            if (samples_[i] < 0 && has_choice(i))
+                std::copy_n(of_.squares.begin() + of_.starts[i], of_.count(i), errors_.begin() + of_.starts[i]);
     }
 
 private:
     struct MoveOfCell {
-        const int64_t *cell;
+        Cell cell;
         int64_t length;
     };
 
-    int64_t candidates(size_t point) const { return of_.starts.data()[point + 1] - of_.starts.data()[point]; }
-    bool has_choice(size_t point) const { return candidates(point) > 1; }
-    int64_t own_of(int32_t point) const { return of_.own.data()[point]; }
+    bool has_choice(size_t point) const { return of_.count(point) > 1; }
+    int32_t own_of(int32_t point) const { return used_.of_point[size_t(point)]; }
 
     void gather(size_t sample) {
         sample_ = sample;
@@ -306,89 +248,263 @@ private:
         if (is_near_)
             near_.gather(sample);
         else
-            around_.gather(used_, sample);
+            around_.gather(references_, sample);
     }
 
     // The lattice point that the points that follow have: its move is not compared with itself.
-    void take_own(int64_t own) {
+    void take_own(int32_t own) {
         own_ = own;
         known_.clear();
         if (!is_near_) return;
         near_.count_all();
-        near_.leave_out(of_.used.data() + 3 * own);
+        near_.leave_out(used_.cells[size_t(own)]);
     }
 
     // The length of the move at a cell. Points of one lattice point share most candidates.
-    int64_t move_at(const int64_t *cell) {
+    int64_t move_at(const Cell &cell) {
         for (const MoveOfCell &known : known_)
-            if (std::equal(cell, cell + 3, known.cell)) return known.length;
+            if (cell == known.cell) return known.length;
         known_.push_back({cell, found_move(cell)});
         return known_.back().length;
     }
 
-    int64_t found_move(const int64_t *cell) {
+    int64_t found_move(const Cell &cell) {
         point_moves::Move move;
         if (is_near_ && near_.move(cell, move)) return move.length;
-        if (is_near_) around_.gather(used_, sample_);
+        if (is_near_) around_.gather(references_, sample_);
         is_near_ = false;
-        return around_.move_at(cell, int32_t(own_)).length;
+        return around_.move_at(cell, own_).length;
     }
 
     void find_errors(size_t point, size_t sample) {
-        const int64_t *place = of_.points.data() + 3 * point, *normal = normals_.data() + 3 * sample;
-        for (int64_t k = of_.starts.data()[point]; k < of_.starts.data()[point + 1]; ++k) {
-            const int64_t *cell = of_.cells.data() + 3 * k;
+        const point_octree::Place &normal = surface_.normal(int32_t(sample));
+        for (int32_t k = of_.starts[point]; k < of_.starts[point + 1]; ++k) {
+            const Cell &cell = of_.places[size_t(k)];
             const int64_t length = move_at(cell);
             int64_t moved = 0;
             for (size_t d = 0; d < 3; ++d) {
-                const int64_t apart = cell[d] * UNIT + point_moves::shift_of_move(length, normal[d]) - place[d];
+                const int64_t apart = cell[d] * UNIT + point_moves::shift_of_move(length, normal[d]) - points_[point][d];
                 moved += apart * apart;
             }
-            errors_[k] = moved <= reach_ ? moved : of_.squares.data()[k] + (length ? stay_cost_ : 0);
+            errors_[size_t(k)] = int32_t(moved <= reach_ ? moved : of_.squares[size_t(k)] + (length ? stay_cost_ : 0));
         }
     }
 
-    const ChoicesOfPoints &of_;
-    const Numbers &normals_;
+    const std::vector<Cell> &points_;
+    const Candidates &of_;
+    const std::vector<int32_t> &samples_;
+    const UsedPoints &used_;
+    const Surface &surface_;
     const int64_t reach_, stay_cost_;
-    int64_t *errors_;
-    point_moves::PointsOfSamples used_;
+    std::vector<int32_t> &errors_;
+    point_moves::PointsOfSamples references_;
     point_moves::ShortNeighbourhood near_;
     point_moves::Neighbourhood around_;
     size_t sample_ = 0;
-    int64_t own_ = 0;
+    int32_t own_ = 0;
     bool is_near_ = false;
     std::vector<MoveOfCell> known_;
 };
 
-// (k): _errors of points (n, 3) with candidates as lattice_candidates gives them. samples (n): near points. own (n): the row of
-// the lattice point of each among those that are used (c, 3), whose samples are sample_of_used (c).
-Output<int64_t> candidate_errors(Numbers points, Rows starts, Numbers cells, Rows squares, Rows samples, Rows own, Numbers used,
-                                 Rows sample_of_used, Numbers normals, Numbers neighbours, int64_t spacing, int64_t reach,
-                                 int64_t stay_cost) {
-    const ChoicesOfPoints of{points, starts, cells, squares, samples, own, used, sample_of_used};
-    point_moves::require_shapes(points, samples, normals, neighbours, spacing);
-    point_moves::require_shapes(used, sample_of_used, normals, neighbours, spacing);
-    const size_t n = samples.shape(0), k = squares.shape(0);
-    bool good = starts.shape(0) == n + 1 && own.shape(0) == n && cells.shape(0) == k && cells.shape(1) == 3 && starts.data()[0] == 0 &&
-                starts.data()[n] == int64_t(k);
-    for (size_t i = 0; good && i < n; ++i)
-        good = starts.data()[i] <= starts.data()[i + 1] && own.data()[i] >= 0 && size_t(own.data()[i]) < used.shape(0);
-    if (!good) throw std::invalid_argument("candidate_errors: shapes differ, or a row is not there");
-    Fresh<int64_t> errors(k);
-    std::fill_n(errors.data.get(), k, 0);
-    {
-        nb::gil_scoped_release release;
-        CandidateErrors(of, normals, neighbours, spacing, reach, stay_cost, errors.data.get()).find();
-    }
-    return errors.give({k});
+template <class Function>
+auto without_interpreter(const Function &function) {
+    nb::gil_scoped_release release;
+    return function();
 }
+
+// The choice for a frame. The costs of classes are found between the constructor and `choose`.
+class PointChoice {
+public:
+    // originals (n, 3): metres. step: of the lattice; corner (3): of the octree, in that unit. codes: sorted distinct lattice
+    // points; rows (n): which of them is nearest to each point. reach: of points, 2^-FINE_BITS units; near: the largest
+    // distance of a lattice point from its sample, subunits.
+    PointChoice(const Surface &surface, Input<double, 2> originals, double step, Input<int64_t, 1> corner, Input<uint64_t, 1> codes,
+                Input<int64_t, 1> rows, int64_t reach, int64_t near)
+        : surface_(surface), reach_(reach), points_(fine_places(originals, step, corner)),
+          of_(without_interpreter([&] { return Candidates(points_, require_reach(reach), surface.depth()); })),
+          samples_(samples_near(codes, rows, near)) {
+        find_used();
+        find_classes();
+    }
+
+    // The width of the classes, 2^-FINE_BITS units; 0 if no point has a sample.
+    int64_t width() const { return width_; }
+
+    // How many of the lattice points that points have before the choice are in each class (CLASSES).
+    Output<int64_t> frequencies() const {
+        Fresh<int64_t> counts(CLASSES);
+        std::fill_n(counts.data.get(), CLASSES, 0);
+        for (size_t c = 0; c < classes_.size(); ++c)
+            if (is_used_[c] && classes_[c] < CLASSES) ++counts.data[classes_[c]];
+        return counts.give({CLASSES});
+    }
+
+    // (codes, rows): the sorted distinct lattice points of the points after some rounds, and which of them each point has.
+    // costs (CLASSES + 1): of a lattice point of each class. spacing: between samples, subunits.
+    nb::tuple choose(Input<int64_t, 1> costs, int64_t spacing, int64_t stay_cost, int rounds) const {
+        if (costs.shape(0) != CLASSES + 1 || spacing < 1 || spacing > LARGEST_SPACING || stay_cost < 0 || stay_cost > LARGEST_COST)
+            throw std::invalid_argument("PointChoice: costs of another shape, or out of range");
+        std::vector<int64_t> of_cells(classes_.size());
+        for (size_t c = 0; c < of_cells.size(); ++c) of_cells[c] = costs.data()[classes_[c]];
+        std::vector<int32_t> errors(of_.places.size(), 0);
+        const size_t n = points_.size();
+        Fresh<int64_t> rows(n);
+        std::vector<uint64_t> codes;
+        {
+            nb::gil_scoped_release release;
+            CandidateErrors(points_, of_, samples_, used_, surface_, spacing, reach_, stay_cost, errors).find();
+            Choice choice(of_, errors, of_cells);
+            for (int round = 0; round < rounds; ++round) {
+                const bool moved = choice.change_points();
+                if (!choice.open_cells() && !moved) break;
+            }
+            std::vector<int64_t> row_of_cell(of_cells.size());
+            for (size_t c = 0; c < of_cells.size(); ++c) {
+                row_of_cell[c] = int64_t(codes.size());
+                if (choice.users()[c]) codes.push_back(of_.codes[c]);
+            }
+            for (size_t i = 0; i < n; ++i) rows.data[i] = row_of_cell[choice.cell(i)];
+        }
+        Fresh<int64_t> found(codes.size());
+        std::copy(codes.begin(), codes.end(), found.data.get());
+        return nb::make_tuple(found.give({codes.size()}), rows.give({n}));
+    }
+
+private:
+    static constexpr int64_t LARGEST_REACH = 1 << 20, LARGEST_SPACING = 1 << 16, LARGEST_COST = 1 << 29;
+    static constexpr double LARGEST_PLACE = 1 << 29;
+
+    static int64_t require_reach(int64_t reach) {
+        if (reach < 0 || reach > LARGEST_REACH) throw std::invalid_argument("PointChoice: a reach out of range");
+        return reach;
+    }
+
+    // Points in 2^-FINE_BITS units from the octree's corner.
+    static std::vector<Cell> fine_places(Input<double, 2> originals, double step, Input<int64_t, 1> corner) {
+        std::vector<Cell> places(originals.shape(0));
+        if (originals.shape(1) != 3 || corner.shape(0) != 3) throw std::invalid_argument("PointChoice: shapes differ");
+        for (size_t i = 0; i < places.size(); ++i)
+            for (size_t d = 0; d < 3; ++d) {
+                const double place = rounded((originals.data()[3 * i + d] / step - double(corner.data()[d])) * UNIT);
+                if (!(std::abs(place) < LARGEST_PLACE)) throw std::invalid_argument("PointChoice: a point outside the octree");
+                places[i][d] = int32_t(place);
+            }
+        return places;
+    }
+
+    // The sample near the lattice point of each point, NOWHERE if it is farther than `near` subunits.
+    std::vector<int32_t> samples_near(Input<uint64_t, 1> codes, Input<int64_t, 1> rows, int64_t near) const {
+        const size_t count = codes.shape(0), n = rows.shape(0);
+        if (n != points_.size()) throw std::invalid_argument("PointChoice: shapes differ");
+        std::vector<int32_t> nearest = without_interpreter([&] { return samples_of_points(surface_, codes.data(), count); }), samples(n);
+        for (size_t c = 0; c < count; ++c) {
+            if (nearest[c] < 0) continue;
+            const Cell cell = point_octree::place_of_code(codes.data()[c]);
+            int64_t square = 0;
+            for (size_t d = 0; d < 3; ++d) {
+                const int64_t apart = (int64_t(cell[d]) << point_octree::SUBUNIT_BITS) - surface_.place(nearest[c])[d];
+                square += apart * apart;
+            }
+            if (square > near * near) nearest[c] = NOWHERE;
+        }
+        for (size_t i = 0; i < n; ++i) {
+            const int64_t row = rows.data()[i];
+            if (row < 0 || size_t(row) >= count) throw std::invalid_argument("PointChoice: a row beyond the codes");
+            samples[i] = nearest[size_t(row)];
+        }
+        return samples;
+    }
+
+    void find_used() {
+        is_used_.assign(of_.codes.size(), 0);
+        for (int32_t k : of_.nearest) is_used_[size_t(of_.cell_of[size_t(k)])] = 1;
+        std::vector<int32_t> row_of_cell(is_used_.size());
+        for (size_t c = 0; c < is_used_.size(); ++c) {
+            row_of_cell[c] = int32_t(used_.cells.size());
+            if (is_used_[c]) used_.cells.push_back(of_.place_of_cell(c));
+        }
+        used_.samples.resize(used_.cells.size());
+        used_.of_point.resize(points_.size());
+        for (size_t i = 0; i < points_.size(); ++i) {
+            used_.of_point[i] = row_of_cell[size_t(of_.cell_of[size_t(of_.nearest[i])])];
+            used_.samples[size_t(used_.of_point[i])] = samples_[i];
+        }
+    }
+
+    // The distance of a place, 2^-FINE_BITS units, from the tangent plane of a sample, as _distances.
+    int64_t distance(int64_t x, int64_t y, int64_t z, int32_t row) const {
+        const point_octree::Place &sample = surface_.place(row), &normal = surface_.normal(row);
+        return ((x - sample[0] * SUBUNIT) * normal[0] + (y - sample[1] * SUBUNIT) * normal[1] + (z - sample[2] * SUBUNIT) * normal[2]) >>
+               point_octree::NORMAL_BITS;
+    }
+
+    // The distances of points with a sample from its tangent plane.
+    std::vector<int64_t> distances_of_points() const {
+        std::vector<int64_t> distances(points_.size(), 0);
+        for (size_t i = 0; i < points_.size(); ++i)
+            if (samples_[i] >= 0) distances[i] = distance(points_[i][0], points_[i][1], points_[i][2], samples_[i]);
+        return distances;
+    }
+
+    // For each sample with points, the mean distance of the points around it.
+    std::vector<int64_t> offsets_of_samples(const std::vector<int64_t> &distances) const {
+        const size_t m = surface_.size();
+        std::vector<int64_t> total(m, 0), offsets(m, 0);
+        std::vector<int32_t> count(m, 0);
+        for (size_t i = 0; i < points_.size(); ++i) {
+            if (samples_[i] < 0) continue;
+            total[size_t(samples_[i])] += distances[i];
+            ++count[size_t(samples_[i])];
+        }
+        for (size_t s = 0; s < m; ++s) {
+            if (!count[s]) continue;
+            const int32_t *around = surface_.around(int32_t(s));
+            int64_t sum = total[s], points = count[s] + PRIOR_COUNT;
+            for (size_t k = 0; k < NEIGHBOURS; ++k) sum += total[size_t(around[k])], points += count[size_t(around[k])];
+            offsets[s] = floor_quotient(sum, points);
+        }
+        return offsets;
+    }
+
+    // _classes of all cells.
+    void find_classes() {
+        const std::vector<int64_t> distances = distances_of_points(), offsets = offsets_of_samples(distances);
+        int64_t away = 0, known = 0;
+        for (size_t i = 0; i < points_.size(); ++i) {
+            if (samples_[i] < 0) continue;
+            away += std::abs(distances[i] - offsets[size_t(samples_[i])]);
+            ++known;
+        }
+        classes_.assign(of_.codes.size(), uint8_t(CLASSES));
+        if (!known) return;
+        width_ = std::max<int64_t>(int64_t(double(away) / double(known)) / CLASSES_PER_DEVIATION, 1);
+        for (size_t c = 0; c < classes_.size(); ++c) {
+            const int32_t candidate = of_.members[size_t(of_.first[c])], sample = samples_[size_t(of_.point[size_t(candidate)])];
+            if (sample < 0) continue;
+            const Cell &cell = of_.places[size_t(candidate)];
+            const int64_t apart = distance(int64_t(cell[0]) * UNIT, int64_t(cell[1]) * UNIT, int64_t(cell[2]) * UNIT, sample);
+            classes_[c] = uint8_t(std::min<int64_t>(std::abs(apart - offsets[size_t(sample)]) / width_, CLASSES - 1));
+        }
+    }
+
+    const Surface &surface_;
+    const int64_t reach_;
+    const std::vector<Cell> points_;
+    const Candidates of_;
+    const std::vector<int32_t> samples_;  // (n): near each point
+    UsedPoints used_;
+    std::vector<uint8_t> is_used_, classes_;  // of cells
+    int64_t width_ = 0;
+};
 
 }  // namespace
 
 void bind_point_choice(nb::module_ &m) {
-    m.def("lattice_candidates", &lattice_candidates);
-    m.def("choose_candidates", &choose_candidates);
-    m.def("candidate_errors", &candidate_errors);
-    m.def("cell_classes", &cell_classes);
+    nb::class_<PointChoice>(m, "PointChoice")
+        .def(nb::init<const Surface &, Input<double, 2>, double, Input<int64_t, 1>, Input<uint64_t, 1>, Input<int64_t, 1>, int64_t,
+                      int64_t>(),
+             nb::keep_alive<1, 2>())
+        .def_prop_ro("width", &PointChoice::width)
+        .def("frequencies", &PointChoice::frequencies)
+        .def("choose", &PointChoice::choose);
 }

@@ -8,30 +8,35 @@
 #include <cmath>
 #include <cstdlib>
 #include <limits>
-#include <stdexcept>
+#include <utility>
 #include <vector>
 
 #if defined(__SSE2__)  // part of every x86-64 processor
 #include <emmintrin.h>
 #endif
 
-#include "arrays.h"
 #include "integers.h"
+#include "octree_surface.h"
 
 namespace point_moves {
 
-constexpr int FINE_BITS = 8, NORMAL_BITS = 10, SUBUNIT_BITS = 4, WEIGHT_BITS = 10;
+using point_octree::NEIGHBOURS;
+using point_octree::NORMAL_BITS;
+using point_octree::SUBUNIT_BITS;
+using point_octree::Surface;
+
+constexpr int FINE_BITS = 8, WEIGHT_BITS = 10;
 constexpr int PER_SAMPLE = 4;  // reference points of a sample
 constexpr int64_t LEAST_COSINE = 315;
 constexpr int64_t GAIN_AT_UNIT = 48000, GAIN_LOSS = 90, LARGEST_MOVE = 1 << (FINE_BITS - 1);
 
-using Numbers = Input<int64_t, 2>;
+using Cell = std::array<int32_t, 3>;  // coordinates of a lattice point
 
-// The points of each sample, ascending.
+// The points of each sample, ascending. Samples are rows of a Surface, NOWHERE for a point without one.
 struct PointsOfSamples {
     std::vector<int32_t> first, points;
 
-    PointsOfSamples(const int64_t *samples, size_t count, size_t of_samples) : first(of_samples + 2, 0) {
+    PointsOfSamples(const int32_t *samples, size_t count, size_t of_samples) : first(of_samples + 2, 0) {
         for (size_t i = 0; i < count; ++i)
             if (samples[i] >= 0) ++first[size_t(samples[i]) + 2];
         for (size_t s = 2; s < first.size(); ++s) first[s] += first[s - 1];
@@ -66,30 +71,38 @@ Move move_of(int64_t total, int64_t largest, int64_t sum, DeviationOf deviation_
     return {std::clamp(mean * gain >> 8, -LARGEST_MOVE, LARGEST_MOVE), deviation};
 }
 
+// The least and the largest coordinates of cells.
+inline std::pair<Cell, Cell> box_of(const std::vector<Cell> &cells) {
+    if (cells.empty()) return {};
+    Cell low = cells.front(), high = low;
+    for (const Cell &cell : cells)
+        for (size_t d = 0; d < 3; ++d) low[d] = std::min(low[d], cell[d]), high[d] = std::max(high[d], cell[d]);
+    return {low, high};
+}
+
 #if defined(__SSE2__)
 // Neighbourhood in 16-bit numbers, eight references at a time, for frames with small coordinates. Weights come from a
 // table over the squared distance.
 class ShortNeighbourhood {
 public:
     // spacing: between samples, subunits.
-    ShortNeighbourhood(const PointsOfSamples &of, const Numbers &cells, const Numbers &normals, const Numbers &neighbours,
-                       int64_t spacing)
-        : neighbours_(neighbours.data()), around_(neighbours.shape(1)) {
-        is_usable = (around_ + 1) * PER_SAMPLE <= BLOCKS * LANES && take_origin(cells) && take_normals(normals);
+    ShortNeighbourhood(const PointsOfSamples &of, const std::vector<Cell> &cells, const Surface &surface, int64_t spacing)
+        : surface_(surface) {
+        is_usable = take_origin(cells) && take_normals();
         if (!is_usable) return;
         weights_.resize(size_t(WEIGHTS));
         const double unit = double(spacing * spacing << WEIGHT_BITS);
         const int64_t least = spacing * spacing / 4 + 1;
         for (int64_t square = 1; square < WEIGHTS; ++square)
             weights_[size_t(square)] = int16_t(unit / double((square << 2 * SUBUNIT_BITS) + least));
-        const size_t samples = normals.shape(0);
+        const size_t samples = surface.size();
         counts_.resize(samples);
         places_.resize(8 * samples);
         heights_.resize(8 * samples);
         for (size_t s = 0; s < samples; ++s) {
             counts_[s] = uint8_t(std::min(of.size(s), PER_SAMPLE));
             for (int k = 0; k < counts_[s]; ++k) {
-                const int64_t *place = cells.data() + 3 * size_t(of.reference(s, k));
+                const Cell &place = cells[size_t(of.reference(s, k))];
                 const size_t at = 8 * s + 2 * size_t(k);
                 places_[at] = short_of(place, 0), places_[at + 1] = short_of(place, 1), heights_[at] = short_of(place, 2);
             }
@@ -100,9 +113,10 @@ public:
 
     void gather(size_t sample) {
         const int16_t *own = &normals_[4 * sample];
+        const int32_t *around = surface_.around(int32_t(sample));
         size_ = 0;
-        for (size_t k = 0; k <= around_; ++k) {
-            const size_t other = k ? size_t(neighbours_[sample * around_ + k - 1]) : sample;
+        for (size_t k = 0; k <= NEIGHBOURS; ++k) {
+            const size_t other = k ? size_t(around[k - 1]) : sample;
             const int16_t *away = &normals_[4 * other];
             const int32_t cosine = own[0] * away[0] + own[1] * away[1] + own[2] * away[2];
             const int32_t x = own[0] + away[0], y = own[1] + away[1], z = own[2] + away[2];
@@ -123,7 +137,7 @@ public:
     }
 
     // References at this place do not count for the moves that follow.
-    void leave_out(const int64_t *place) {
+    void leave_out(const Cell &place) {
         const __m128i at = pair(place, 0, 1), height = _mm_set1_epi32(short_of(place, 2) & 0xffff);
         for (size_t b = 0; b < (size_ + LANES - 1) / LANES; ++b) {
             __m128i same[2];
@@ -138,7 +152,7 @@ public:
 
     // The move of a point of the frame, or of a candidate for one, without references at its place (such as itself). False if
     // a reference is too far.
-    bool move(const int64_t *place, Move &result) const {
+    bool move(const Cell &place, Move &result) const {
         const __m128i at = pair(place, 0, 1), height = _mm_set1_epi32(short_of(place, 2) & 0xffff);
         const __m128i ones = _mm_set1_epi16(1);
         const size_t blocks = (size_ + LANES - 1) / LANES;
@@ -184,35 +198,34 @@ public:
     }
 
 private:
-    static constexpr size_t LANES = 8, BLOCKS = 7;
+    static constexpr size_t LANES = 8, BLOCKS = ((NEIGHBOURS + 1) * PER_SAMPLE + 7) / 8;
     static constexpr int LARGEST = 1 << 13;    // normals and distances: sums of BLOCKS products fit into 32 bits
     static constexpr int64_t WEIGHTS = 16384;  // entries of the weight table
     static constexpr int64_t OUTSIDE = 8;      // units: candidates lie at most so far outside the points of a frame
 
-    bool take_origin(const Numbers &cells) {
-        if (!cells.size()) return false;
-        for (size_t d = 0; d < 3; ++d) {
-            int64_t low = cells.data()[d], high = low;
-            for (size_t i = d; i < cells.size(); i += 3) low = std::min(low, cells.data()[i]), high = std::max(high, cells.data()[i]);
-            if (high + 2 * OUTSIDE - INT16_MAX > low) return false;
-            origin_[d] = low;
-        }
+    bool take_origin(const std::vector<Cell> &cells) {
+        if (cells.empty()) return false;
+        const auto [low, high] = box_of(cells);
+        origin_ = low;
+        for (size_t d = 0; d < 3; ++d)
+            if (int64_t(high[d]) - low[d] > INT16_MAX - 2 * OUTSIDE) return false;
         return true;
     }
 
-    bool take_normals(const Numbers &normals) {
-        normals_.resize(4 * normals.shape(0));
-        for (size_t i = 0; i < normals.size(); ++i) {
-            const int64_t value = normals.data()[i];
-            if (value > LARGEST || value < -LARGEST) return false;
-            normals_[i / 3 * 4 + i % 3] = int16_t(value);
-        }
+    bool take_normals() {
+        normals_.resize(4 * surface_.size());
+        for (size_t s = 0; s < surface_.size(); ++s)
+            for (size_t d = 0; d < 3; ++d) {
+                const int64_t value = surface_.normal(int32_t(s))[d];
+                if (value > LARGEST || value < -LARGEST) return false;
+                normals_[4 * s + d] = int16_t(value);
+            }
         return true;
     }
 
-    int16_t short_of(const int64_t *place, size_t axis) const { return int16_t(place[axis] - origin_[axis]); }
+    int16_t short_of(const Cell &place, size_t axis) const { return int16_t(place[axis] - origin_[axis]); }
 
-    __m128i pair(const int64_t *place, size_t first, size_t second) const {
+    __m128i pair(const Cell &place, size_t first, size_t second) const {
         return _mm_set1_epi32((short_of(place, first) & 0xffff) | short_of(place, second) * 65536);
     }
 
@@ -237,9 +250,8 @@ private:
         return _mm_insert_epi16(result, table[_mm_extract_epi16(squares, 7)], 7);
     }
 
-    const int64_t *neighbours_;
-    const size_t around_;
-    int64_t origin_[3];
+    const Surface &surface_;
+    Cell origin_;
     std::vector<uint8_t> counts_;                        // number of references of each sample
     std::vector<int16_t> places_, heights_;              // four references a sample: pairs of x and y, of z and 0
     std::vector<int16_t> normals_;                       // four numbers a sample
@@ -256,42 +268,36 @@ struct ShortNeighbourhood {
     static constexpr bool is_usable = false;
     void gather(size_t) {}
     void count_all() {}
-    void leave_out(const int64_t *) {}
-    bool move(const int64_t *, Move &) const { return false; }
+    void leave_out(const Cell &) {}
+    bool move(const Cell &, Move &) const { return false; }
 };
 #endif
 
 // The reference points for the points of one sample.
 class Neighbourhood {
 public:
-    Neighbourhood(const Numbers &cells, const Numbers &normals, const Numbers &neighbours, int64_t spacing)
-        : cells_(cells.data()), normals_(normals.data()), neighbours_(neighbours.data()), around_(neighbours.shape(1)),
-          square_(spacing * spacing) {
-        const size_t most = (around_ + 1) * PER_SAMPLE + LANES;
-        for (auto *values : {&x_, &y_, &z_, &u_, &v_, &w_, &weights_, &distances_}) values->resize(most, 0.0);
-        rows_.resize(most);
-        std::array<int64_t, 3> low, high;
-        low.fill(std::numeric_limits<int64_t>::max());
-        high.fill(std::numeric_limits<int64_t>::min());
-        for (size_t i = 0; i < cells.size(); ++i) {
-            low[i % 3] = std::min(low[i % 3], cells_[i]);
-            high[i % 3] = std::max(high[i % 3], cells_[i]);
-        }
+    Neighbourhood(const std::vector<Cell> &cells, const Surface &surface, int64_t spacing)
+        : cells_(cells), surface_(surface), square_(spacing * spacing) {
+        constexpr size_t MOST = (NEIGHBOURS + 1) * PER_SAMPLE + LANES;
+        for (auto *values : {&x_, &y_, &z_, &u_, &v_, &w_, &weights_, &distances_}) values->resize(MOST, 0.0);
+        rows_.resize(MOST);
+        const auto [low, high] = box_of(cells);
         is_near_ = true;
-        for (size_t d = 0; cells.size() && d < 3; ++d) is_near_ &= high[d] - NEAR <= low[d];
+        for (size_t d = 0; d < 3; ++d) is_near_ &= int64_t(high[d]) - NEAR <= low[d];
     }
 
     void gather(const PointsOfSamples &of, size_t sample) {
+        const int32_t *around = surface_.around(int32_t(sample));
         size_ = 0;
         add(of, sample, sample);
-        for (size_t k = 0; k < around_; ++k) add(of, sample, size_t(neighbours_[sample * around_ + k]));
+        for (size_t k = 0; k < NEIGHBOURS; ++k) add(of, sample, size_t(around[k]));
     }
 
-    Move move(size_t point) { return move_at(cells_ + 3 * point, int32_t(point), is_near_); }
+    Move move(size_t point) { return move_at(cells_[point], int32_t(point), is_near_); }
 
     // The move of a point at a place. Ignores reference `skipped` and references at the place itself. is_near: the
     // place is known to be near all references.
-    Move move_at(const int64_t *place, int32_t skipped, bool is_near = false) {
+    Move move_at(const Cell &place, int32_t skipped, bool is_near = false) {
         if (is_near || all_are_near(place)) return near_move(double(place[0]), double(place[1]), double(place[2]), skipped);
         return distant_move(place, skipped);
     }
@@ -303,20 +309,20 @@ private:
     static constexpr double OFFSET = 1 << 29;
     static constexpr size_t LANES = 4;  // parallel sums
 
-    bool all_are_near(const int64_t *place) const {
+    bool all_are_near(const Cell &place) const {
         for (size_t k = 0; k < size_; ++k)
             for (size_t d = 0; d < 3; ++d)
-                if (std::abs(cells_[3 * size_t(rows_[k]) + d] - place[d]) > NEAR) return false;
+                if (std::abs(cells_[size_t(rows_[k])][d] - place[d]) > NEAR) return false;
         return true;
     }
 
     // Adds the references of another sample if its normal has a similar direction.
     void add(const PointsOfSamples &of, size_t sample, size_t other) {
-        const int64_t *own = normals_ + 3 * sample, *away = normals_ + 3 * other;
-        if (!of.size(other) || dot(own, away) < LEAST_COSINE << NORMAL_BITS) return;
+        const auto &own = surface_.normal(int32_t(sample)), &away = surface_.normal(int32_t(other));
+        if (!of.size(other) || dot(own.data(), away.data()) < LEAST_COSINE << NORMAL_BITS) return;
         for (int k = 0; k < std::min(of.size(other), PER_SAMPLE); ++k, ++size_) {
             const int32_t row = of.reference(other, k);
-            const int64_t *place = cells_ + 3 * row;
+            const Cell &place = cells_[size_t(row)];
             rows_[size_] = row;
             x_[size_] = double(place[0]), y_[size_] = double(place[1]), z_[size_] = double(place[2]);
             u_[size_] = double(own[0] + away[0]), v_[size_] = double(own[1] + away[1]), w_[size_] = double(own[2] + away[2]);
@@ -357,11 +363,11 @@ private:
     }
 
     // near_move in integers, for points far apart.
-    Move distant_move(const int64_t *place, int32_t skipped) {
+    Move distant_move(const Cell &place, int32_t skipped) {
         std::vector<int64_t> weights, distances;
         int64_t total = 0, largest = 0, sum = 0;
         for (size_t k = 0; k < size_; ++k) {
-            const int64_t *a = cells_ + 3 * size_t(rows_[k]);
+            const Cell &a = cells_[size_t(rows_[k])];
             const int64_t apart[3] = {a[0] - place[0], a[1] - place[1], a[2] - place[2]};
             if (rows_[k] == skipped || !(apart[0] || apart[1] || apart[2])) continue;
             const int64_t both[3] = {int64_t(u_[k]), int64_t(v_[k]), int64_t(w_[k])};
@@ -379,8 +385,8 @@ private:
         });
     }
 
-    const int64_t *cells_, *normals_, *neighbours_;
-    const size_t around_;
+    const std::vector<Cell> &cells_;
+    const Surface &surface_;
     const int64_t square_;
     size_t size_ = 0;
     bool is_near_;  // whether all points of the frame are near each other
@@ -388,18 +394,5 @@ private:
     std::vector<double> x_, y_, z_, u_, v_, w_;  // places of the references; sums of normals
     std::vector<double> weights_, distances_;
 };
-
-inline void require_shapes(const Numbers &cells, const Input<int64_t, 1> &samples, const Numbers &normals,
-                           const Numbers &neighbours, int64_t spacing) {
-    const size_t n = samples.shape(0), m = normals.shape(0);
-    if (cells.shape(0) != n || cells.shape(1) != 3 || normals.shape(1) != 3 || neighbours.shape(0) != m || spacing < 1 ||
-        spacing > 1 << 16)
-        throw std::invalid_argument("point_moves: shapes differ");
-    for (size_t i = 0; i < n; ++i)
-        if (samples.data()[i] >= int64_t(m)) throw std::invalid_argument("point_moves: a sample does not exist");
-    for (size_t i = 0; i < neighbours.size(); ++i)
-        if (neighbours.data()[i] < 0 || neighbours.data()[i] >= int64_t(m))
-            throw std::invalid_argument("point_moves: a neighbour does not exist");
-}
 
 }  // namespace point_moves

@@ -340,70 +340,10 @@ private:
     std::vector<uint8_t> filled_, before_;  // classes of the number of neighbours; context bits of the cubes before
 };
 
-std::array<int32_t, 3> place_of_code(uint64_t code) {
-    return {int32_t(gathered_bits(code)), int32_t(gathered_bits(code >> 1)), int32_t(gathered_bits(code >> 2))};
-}
-
-// The sample near each of sorted distinct codes, with the octree's search.
-std::vector<int32_t> samples_of_points(const Surface &surface, const uint64_t *points, size_t count) {
-    const int depth = surface.depth();
-    std::vector<uint64_t> cubes{0};
-    std::vector<int32_t> nearest{NOWHERE};
-    for (int level = 0; level <= depth; ++level) {
-        std::vector<uint64_t> own;
-        std::vector<int32_t> from;
-        std::vector<std::array<int32_t, 3>> places;
-        for (size_t i = 0, parent = 0; i < count; ++i) {
-            const uint64_t code = points[i] >> 3 * (depth - level);
-            if (!own.empty() && own.back() == code) continue;
-            while (level && parent < cubes.size() && cubes[parent] != code >> 3) ++parent;
-            if (parent == cubes.size()) throw std::invalid_argument("octree: the codes are not sorted");
-            own.push_back(code);
-            from.push_back(nearest[parent]);
-            places.push_back(place_of_code(code));
-        }
-        if (level < depth) surface.attach(places, level, from);
-        cubes.swap(own);
-        nearest.swap(from);
-    }
-    return nearest;
-}
-
-// The sample near each of the points at rows (n) of the sorted distinct codes, NOWHERE if it is farther than `reach` subunits.
-Output<int64_t> near_samples(const Surface &surface, Input<uint64_t, 1> codes, Input<int64_t, 1> rows, int64_t reach) {
-    const size_t count = codes.shape(0), n = rows.shape(0);
-    for (size_t i = 0; i < count; ++i)
-        if (codes.data()[i] >> 3 * surface.depth()) throw std::invalid_argument("octree: a code is beyond the octree");
-    std::vector<int32_t> nearest;
-    {
-        nb::gil_scoped_release release;
-        nearest = samples_of_points(surface, codes.data(), count);
-    }
-    std::vector<int64_t> near(count, NOWHERE);
-    for (size_t i = 0; i < count; ++i) {
-        if (nearest[i] < 0) continue;
-        const std::array<int32_t, 3> cell = place_of_code(codes.data()[i]);
-        int64_t square = 0;
-        for (size_t d = 0; d < 3; ++d) {
-            const int64_t apart = (int64_t(cell[d]) << SUBUNIT_BITS) - surface.place(nearest[i])[d];
-            square += apart * apart;
-        }
-        if (square <= reach * reach) near[i] = surface.given_row(nearest[i]);
-    }
-    Fresh<int64_t> samples(n);
-    for (size_t i = 0; i < n; ++i) {
-        const int64_t row = rows.data()[i];
-        if (row < 0 || size_t(row) >= count) throw std::invalid_argument("octree: a row beyond the codes");
-        samples.data[i] = near[size_t(row)];
-    }
-    return samples.give({n});
-}
-
 }  // namespace
 
 void bind_point_octree(nb::module_ &m) {
     nb::class_<Surface>(m, "OctreeSurface")
-        .def(nb::init<Input<int64_t, 2>, Input<int64_t, 2>, Input<int64_t, 2>, int64_t, int, int64_t>())
-        .def("near_samples", &near_samples);
+        .def(nb::init<Input<int64_t, 2>, Input<int64_t, 2>, Input<int64_t, 2>, int64_t, int, int64_t>());
     OctreeFunctions<Tree>::bind(m, "point_octree");
 }

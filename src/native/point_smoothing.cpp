@@ -9,19 +9,46 @@ namespace {
 
 using namespace point_moves;
 
-nb::tuple smooth_points(Numbers cells, Input<int64_t, 1> samples, Numbers normals, Numbers neighbours, int64_t spacing) {
-    require_shapes(cells, samples, normals, neighbours, spacing);
-    const size_t n = samples.shape(0), m = normals.shape(0);
+constexpr int64_t LARGEST_SPACING = 1 << 16, LARGEST_CELL = 1 << 29;
+
+// Lattice points (n, 3) as cells.
+std::vector<Cell> cells_of(Input<int64_t, 2> cells) {
+    std::vector<Cell> result(cells.shape(0));
+    if (cells.shape(1) != 3) throw std::invalid_argument("smooth_points: shapes differ");
+    for (size_t i = 0; i < cells.size(); ++i) {
+        const int64_t value = cells.data()[i];
+        if (value > LARGEST_CELL || value < -LARGEST_CELL) throw std::invalid_argument("smooth_points: a cell out of range");
+        result[i / 3][i % 3] = int32_t(value);
+    }
+    return result;
+}
+
+// Rows of the surface's own order for samples (n) as they were given.
+std::vector<int32_t> own_rows(const Surface &surface, Input<int64_t, 1> samples) {
+    std::vector<int32_t> result(samples.shape(0));
+    for (size_t i = 0; i < result.size(); ++i) {
+        if (samples.data()[i] >= int64_t(surface.size())) throw std::invalid_argument("smooth_points: a sample does not exist");
+        result[i] = surface.own_row(samples.data()[i]);
+    }
+    return result;
+}
+
+// Fields shifts, moves and deviations of SmoothedPoints, for lattice points (n, 3) with samples (n). spacing: subunits.
+nb::tuple smooth_points(const Surface &surface, Input<int64_t, 2> given_cells, Input<int64_t, 1> given_samples, int64_t spacing) {
+    const std::vector<Cell> cells = cells_of(given_cells);
+    const std::vector<int32_t> samples = own_rows(surface, given_samples);
+    const size_t n = samples.size();
+    if (cells.size() != n || spacing < 1 || spacing > LARGEST_SPACING) throw std::invalid_argument("smooth_points: shapes differ");
     Fresh<int64_t> shifts(3 * n), moves(n), deviations(n);
     std::fill_n(shifts.data.get(), 3 * n, 0);
     std::fill_n(moves.data.get(), n, 0);
     std::fill_n(deviations.data.get(), n, 0);
     {
         nb::gil_scoped_release release;
-        const PointsOfSamples of(samples.data(), n, m);
-        ShortNeighbourhood near(of, cells, normals, neighbours, spacing);
-        Neighbourhood around(cells, normals, neighbours, spacing);
-        for (size_t s = 0; s < m; ++s) {
+        const PointsOfSamples of(samples.data(), n, surface.size());
+        ShortNeighbourhood near(of, cells, surface, spacing);
+        Neighbourhood around(cells, surface, spacing);
+        for (size_t s = 0; s < surface.size(); ++s) {
             if (!of.size(s)) continue;
             bool is_near = near.is_usable;
             if (is_near) near.gather(s);
@@ -29,15 +56,14 @@ nb::tuple smooth_points(Numbers cells, Input<int64_t, 1> samples, Numbers normal
             for (int32_t at = of.first[s]; at < of.first[s + 1]; ++at) {
                 const size_t i = size_t(of.points[size_t(at)]);
                 Move move;
-                if (is_near && !near.move(cells.data() + 3 * i, move)) {
+                if (is_near && !near.move(cells[i], move)) {
                     is_near = false;
                     around.gather(of, s);
                 }
                 if (!is_near) move = around.move(i);
                 moves.data[i] = move.length;
                 deviations.data[i] = move.deviation;
-                for (size_t d = 0; d < 3; ++d)
-                    shifts.data[3 * i + d] = shift_of_move(move.length, normals.data()[3 * s + d]);
+                for (size_t d = 0; d < 3; ++d) shifts.data[3 * i + d] = shift_of_move(move.length, surface.normal(int32_t(s))[d]);
             }
         }
     }

@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from mocodec import native
 from mocodec.errors import BadInput, CannotEncode
 from mocodec.geometry import articulation, body_fit, pose_search, stock_body
 from mocodec.geometry.capsules import DistanceField, surface_distances
@@ -91,3 +92,50 @@ def test_knees_that_bend_the_wrong_way_cost():
     cost = pose_search.hinge_penalty(body, articulation.exp(turns))
     assert cost[0] == 0
     assert cost[1] > 0
+
+
+@pytest.fixture(scope="module")
+def walker() -> pose_search.PoseSearch:
+    """The search for a walking person."""
+    act = poses.posed(actors.capsules(), *poses.POSES["walking"]).moved((3.0, 0.5, -2.0), 1.0)
+    return pose_search.PoseSearch(sequences.record(act, 2000, seed=3).positions[0])
+
+
+@pytest.mark.skipif(not native.available(), reason="the compiled module is not built")
+@pytest.mark.parametrize(("points", "stride"), [(None, 1), (70, 3)])
+def test_compiled_costs_of_poses_agree_with_numpy(walker, points, stride):
+    random = walker._random_poses(60)
+    compiled = walker._scored(random, points, stride).cost
+    with native.without():
+        np.testing.assert_allclose(compiled, walker._scored(random, points, stride).cost, rtol=1e-5)
+
+
+@pytest.mark.skipif(not native.available(), reason="the compiled module is not built")
+def test_compiled_choice_of_limbs_agrees_with_numpy(walker):
+    random = walker._random_poses(12)
+    for limb in walker.limbs:
+        turns = walker._limb_turns(random, limb, 20, 0.6)
+        best, cost = walker._best_limbs(random, limb, turns)
+        with native.without():
+            numpy_best, numpy_cost = walker._best_limbs(random, limb, turns)
+        np.testing.assert_array_equal(best, numpy_best)
+        np.testing.assert_allclose(cost, numpy_cost, rtol=1e-5)
+
+
+@pytest.mark.skipif(not native.available(), reason="the compiled module is not built")
+@pytest.mark.parametrize("views", [{}, {"views": 1}])
+def test_compiled_fit_agrees_with_numpy(views):
+    """After convergence: single steps differ where two capsules that meet in a joint are equally near."""
+    act = poses.posed(actors.capsules(), *poses.POSES["walking"]).moved((3.0, 0.5, -2.0), 1.0)
+    points = sequences.record(act, 2000, seed=3, **views).positions[0]
+    search = pose_search.PoseSearch(points)
+    fitter = body_fit.StockBodyFitter(points, search)
+    assert (search.field.hidden is None) == (not views)
+    start = body_fit.estimate_of(search.best(1, draws=1500), 0)
+    compiled = fitter.refine(start, body_fit.WIDTHS)
+    with native.without():
+        by_numpy = fitter.refine(start, body_fit.WIDTHS)
+    np.testing.assert_allclose(compiled.rotations, by_numpy.rotations, atol=1e-3)
+    np.testing.assert_allclose(compiled.root, by_numpy.root, atol=1e-4)
+    np.testing.assert_allclose(compiled.build, by_numpy.build, atol=1e-3)
+    assert compiled.cost == pytest.approx(by_numpy.cost, rel=1e-3)

@@ -2,19 +2,22 @@
 
     points ──► pose hypotheses (pose_search) ──Gauss–Newton on joints and proportions, each──► best ──► FittedSkeleton
 
-Works for people who stand or sit, in any heading, and takes some seconds.
+Works for people who stand or sit, in any heading. The costs of hypotheses and the steps are compiled
+(src/native/first_pose.cpp).
 """
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
+from .. import native
 from ..errors import BadInput, CannotEncode
 from ..typing import AnyInteger, Floats
 from . import articulation, pose_search, stock_body
 from .articulation import Body
+from .body_matching import FramePoints
 from .capsules import capsule_distances, surface_distances
 from .gauss_newton import cross, link_motions
 from .pose_search import CHAINS, TRUNCATION_M, PoseHypotheses, PoseSearch
@@ -29,8 +32,6 @@ CANDIDATES, FINALISTS = 8, 3
 """Hypotheses that are refined coarsely, and of these in full."""
 BACK_WEIGHT = 0.3
 """Weight of the surface samples' distances from the points, against the points' distances from the surface."""
-PROPORTION_STEP = 0.01
-"""Relative change of a proportion for its numerical derivative."""
 INDEPENDENT, NOISE_M = 150.0, 0.02
 """Neighbouring distances are correlated: all together count as this number of independent ones, of this noise in
 metres."""
@@ -174,16 +175,30 @@ class StockBodyFitter:
     """
 
     def __init__(self, points: Floats, search: PoseSearch, max_points: int = 1200) -> None:
-        from scipy.spatial import KDTree
-
         self.body, self.model, self.field = search.body, search.model, search.field
         rows = np.random.default_rng(3).permutation(len(points))[:max_points]
         self.points = points[rows]
-        self.tree = KDTree(self.points)
+        self.data = FramePoints.build(self.points)
         self.is_ancestor = self.body.ancestors
         without_side = [name.removeprefix("Left").removeprefix("Right") for name in self.body.names]
         self.expected_turn = np.array([EXPECTED_TURN.get(name, OTHER_TURN) for name in without_side])
         self.expected_turn[0] = ROOT_TURN
+        self.compiled = self._compiled_fitter()
+
+    def _compiled_fitter(self) -> Any:
+        """The steps of `refine` as the compiled module takes them, None without it."""
+        if (fitter := native.kernel("CapsuleFitter")) is None:
+            return None
+        body, model = self.body, self.model
+        above = np.where(np.array(model.parents)[:, None] < 0, 0.0, model.stock[list(model.parents)])
+        hinges, axes = zip(*pose_search.hinges(body), strict=True)
+        constants = [BACK_WEIGHT, INDEPENDENT / NOISE_M**2, PROPORTION_SPREAD, HINGE_SPREAD, MAX_TURN, MAX_GROWTH]
+        return fitter(
+            np.array(body.parents), np.array(body.joints), np.array(model.parents), model.stock - above,
+            model.joint_scales, model.link, model.ends, model.stock_radii, model.radius_scales, model.capsule,
+            model.shares, model.outward, self.expected_turn, np.array(hinges), np.array(axes), np.array(constants),
+            self.data.tree, self.field.compiled_hidden(),
+        )  # fmt: skip
 
     def resample_limbs(self, estimate: BodyEstimate) -> BodyEstimate:
         """The estimate with better limbs, if a random search with its proportions finds any."""
@@ -219,8 +234,12 @@ class StockBodyFitter:
 
     def refine(self, estimate: BodyEstimate, widths: tuple[float, ...]) -> BodyEstimate:
         """The estimate after one Gauss–Newton step per width, with its cost."""
-        for width in widths:
-            estimate = self._step(estimate, width)
+        if self.compiled is not None and native.available():
+            rotations, root, build = self.compiled.refine(*estimate[:3], np.array(widths))
+            estimate = BodyEstimate(rotations, root, build, np.inf)
+        else:
+            for width in widths:
+                estimate = self._step(estimate, width)
         return estimate._replace(cost=self._cost(estimate))
 
     def _posed(self, rotations: Floats, root: Floats, build: Floats) -> PosedCapsules:
@@ -250,7 +269,7 @@ class StockBodyFitter:
         gap = pairs.targets - y
         weight = (width**2 / (width**2 + np.einsum("ni,ni->n", gap, gap))) ** 2
         weight[pairs.points :] *= BACK_WEIGHT * pairs.points / len(self.model.shares)
-        h, g = self._equations(posed, pairs, y, gap, weight, self._growth(estimate, pairs, y))
+        h, g = self._equations(posed, pairs, y, gap, weight, self._growth(estimate, pairs))
         scale = INDEPENDENT / pairs.points / NOISE_M**2
         h, g = h * scale, g * scale
         parents = np.stack([posed.a[p] if p >= 0 else np.eye(3) for p in self.body.parents])
@@ -268,8 +287,8 @@ class StockBodyFitter:
         """
         capsule, share, normal = self._nearest_capsules(posed.ends, posed.radii)
         samples, outward = self.model.surface_samples(posed.a, posed.ends, posed.radii)
-        distance, index = self.tree.query(samples)
-        near = np.flatnonzero((distance < 3 * width) & ~self.field.is_hidden(samples))
+        distance, index = self.data.nearest(samples, None, 3 * width)
+        near = np.flatnonzero(np.isfinite(distance) & ~self.field.is_hidden(samples))
         return Correspondences(
             np.concatenate([capsule, self.model.capsule[near]]),
             np.concatenate([share, self.model.shares[near]])[:, None],
@@ -278,12 +297,12 @@ class StockBodyFitter:
             len(share),
         )
 
-    def _growth(self, estimate: BodyEstimate, pairs: Correspondences, y: Floats) -> Floats:
-        """(p, 3, PROPORTIONS): derivatives of the places y (p, 3) by the proportions, numerically."""
-        build = estimate.build
-        larger = self._posed(estimate.rotations, estimate.root, build * (1 + PROPORTION_STEP * np.eye(len(build))))
-        growth = (pairs.places(larger.ends, larger.radii) - y) / PROPORTION_STEP
-        return growth.transpose(1, 2, 0)
+    def _growth(self, estimate: BodyEstimate, pairs: Correspondences) -> Floats:
+        """(p, 3, PROPORTIONS): derivatives of the places by the logarithms of the proportions. Places are linear in
+        the proportions and the root.
+        """
+        single = self._posed(estimate.rotations, np.zeros(3), np.diag(estimate.build))
+        return pairs.places(single.ends, single.radii).transpose(1, 2, 0)
 
     def _equations(
         self, posed: PosedCapsules, pairs: Correspondences, y: Floats, gap: Floats, weight: Floats, growth: Floats

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 
 from .. import native
@@ -19,7 +21,7 @@ def surface_distances(points: Floats, ends: Floats, radii: Floats, signed: bool 
     metres.
 
     ends (k, c, 2, 3), radii (k, c, 2): of the bodies' c capsules. signed: negative inside, where the deepest capsule
-    counts. In single precision: accurate to 0.1 mm within ten metres.
+    counts. Compiled in single precision: accurate to 0.1 mm within ten metres.
     """
     if not signed and (kernel := native.kernel("capsule_surfaces")) is not None:
         return np.asarray(kernel(points, ends, radii))
@@ -29,18 +31,16 @@ def surface_distances(points: Floats, ends: Floats, radii: Floats, signed: bool 
 
 def capsule_distances(points: Floats, ends: Floats, radii: Floats) -> tuple[Floats, Floats]:
     """(c, n) each: the distance of each of points (n, 3) from the surface of each of c capsules, metres, negative
-    inside, and the share of the capsule's axis that is nearest. ends (c, 2, 3), radii (c, 2). In single precision.
+    inside, and the share of the capsule's axis that is nearest. ends (c, 2, 3), radii (c, 2).
     """
     centre = points.mean(axis=0)
-    x, (p, q) = (points - centre).astype(np.float32), (ends - centre).astype(np.float32).transpose(1, 0, 2)
-    along = q - p
+    x, p, along = points - centre, ends[:, 0] - centre, ends[:, 1] - ends[:, 0]
     square = np.sum(x**2, axis=1)[None, :] - 2 * p @ x.T + np.sum(p**2, axis=1)[:, None]
     projection = along @ x.T - np.sum(p * along, axis=1)[:, None]
-    length = np.maximum(np.sum(along**2, axis=1)[:, None], np.float32(1e-6))  # squared
+    length = np.maximum(np.sum(along**2, axis=1)[:, None], 1e-6)  # squared
     share = np.clip(projection / length, 0, 1)
     square += share * (share * length - 2 * projection)
-    near, far = radii[:, :1].astype(np.float32), radii[:, 1:].astype(np.float32)
-    return np.sqrt(np.maximum(square, 0)) - (near + share * (far - near)), share
+    return np.sqrt(np.maximum(square, 0)) - (radii[:, :1] + share * (radii[:, 1:] - radii[:, :1])), share
 
 
 class DistanceField:
@@ -71,6 +71,18 @@ class DistanceField:
     def is_hidden(self, places: Floats) -> Booleans:
         """(…,): whether places (…, 3), metres, are behind the points that a single camera has seen."""
         return np.zeros(places.shape[:-1], bool) if self.hidden is None else self.hidden[self._rows(places)]
+
+    def compiled_distances(self) -> Any:
+        """The distances as the compiled module takes them, None without it."""
+        grid = native.kernel("CellDistances")
+        return None if grid is None else grid(self.values, self.low, self.shape, self.cell)
+
+    def compiled_hidden(self) -> Any:
+        """The hidden cells as the compiled module takes them, None if there are none."""
+        flags = native.kernel("CellFlags")
+        if flags is None or self.hidden is None:
+            return None
+        return flags(self.hidden.view(np.uint8), self.low, self.shape, self.cell)
 
     def _hidden_places(self, points: Floats) -> Booleans | None:
         """(cells of the grid,): as `is_hidden`; None if more than one camera has seen the points."""

@@ -14,7 +14,8 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from ..typing import Booleans, Floats
+from .. import native
+from ..typing import AnyInteger, Booleans, Floats
 from . import articulation, normals, stock_body
 from .articulation import Body
 from .capsules import DistanceField, surface_distances
@@ -38,7 +39,8 @@ TWISTS_RAD = 0.06, 0.25
 """Standard deviations of a random trunk's turn about its length, at each of three joints."""
 ROUGH_POINTS, ROUGH_STRIDE, ROUGH_KEPT = 70, 3, 300
 """Points that score the first random poses, of how many surface samples one does, and how many poses are kept."""
-EVERY = slice(None)
+HINGE_COST, FREE_HINGE_RAD = 0.002, 0.1
+"""Cost of a knee or elbow that bends the wrong way, square metres for each square radian, and radians without cost."""
 DISTINCT_M = 0.12
 """Two poses are distinct if a joint differs by more than this, metres."""
 
@@ -91,10 +93,11 @@ class PoseSearch:
         is_sparse = len(points) < max_points
         self.truncation = max(TRUNCATION_M, 2.5 * normals.spacing(self.points) if is_sparse else 0.0)
         self.limbs = [[self._link(side + name) for name in chain] for side in SIDES for chain in CHAINS]
+        self.compiled = self._compiled_scorer()
 
     def best(self, count: int = 6, draws: int = 3000, rounds: int = 3) -> PoseHypotheses:
         """The best `count` distinct poses, best first, from `draws` random ones improved in some rounds."""
-        rough = self._scored(self._random_poses(draws), slice(ROUGH_POINTS), slice(None, None, ROUGH_STRIDE))
+        rough = self._scored(self._random_poses(draws), ROUGH_POINTS, ROUGH_STRIDE)
         poses = self._best_of_headings(self._scored(self._best_of_headings(rough, ROUGH_KEPT)), KEPT)
         for number in range(rounds):
             spread = 0.6 * 0.5**number
@@ -182,6 +185,17 @@ class PoseSearch:
 
     # --- cost of poses ----------------------------------------------------------------------------------------------
 
+    def _compiled_scorer(self) -> Any:
+        """The costs of poses as the compiled module computes them, None without it."""
+        if (scorer := native.kernel("PoseScorer")) is None:
+            return None
+        links, axes = zip(*hinges(self.body), strict=True)
+        return scorer(
+            np.array(self.body.parents), self.origins, self.model.link, self.joints[self.model.ends], self.radii,
+            self.sample_links, self.samples, np.array(links), np.array(axes), np.array([HINGE_COST, FREE_HINGE_RAD]),
+            self.field.compiled_distances(), self.points, self.truncation,
+        )  # fmt: skip
+
     def _transforms(self, poses: PoseHypotheses) -> tuple[Floats, Floats]:
         """a (k, links, 3, 3), scaled by the size, and b (k, links, 3): transforms of the links of each pose."""
         a = np.empty_like(poses.rotations)
@@ -200,19 +214,22 @@ class PoseSearch:
             a[:, link] = a[:, parent] @ poses.rotations[:, link]
             b[:, link] = (a[:, parent] - a[:, link]) @ origin + b[:, parent]
 
-    def _scored(self, poses: PoseHypotheses, points: slice = EVERY, samples: slice = EVERY) -> PoseHypotheses:
-        """The poses with their costs, by some of the points and of the surface samples."""
+    def _scored(self, poses: PoseHypotheses, points: int | None = None, stride: int = 1) -> PoseHypotheses:
+        """The poses with their costs, by the first points and every `stride`th surface sample."""
+        if self.compiled is not None and native.available():
+            count = len(self.points) if points is None else points
+            return poses._replace(cost=self.compiled.costs(poses.rotations, poses.root, poses.size, count, stride))
         cost = np.empty(len(poses.cost))
         for start in range(0, len(cost), BATCH):
             batch = poses.take(slice(start, start + BATCH))
             a, b = self._transforms(batch)
-            from_points = self._point_costs(a, b, batch.size, slice(None), points).mean(axis=1)
-            from_samples = self._sample_costs(a, b, samples).mean(axis=1)
+            from_points = self._point_costs(a, b, batch.size, slice(None), slice(points)).mean(axis=1)
+            from_samples = self._sample_costs(a, b, slice(None, None, stride)).mean(axis=1)
             penalty = hinge_penalty(self.body, batch.rotations)
             cost[start : start + BATCH] = from_points + from_samples + penalty
         return poses._replace(cost=cost)
 
-    def _point_costs(self, a: Floats, b: Floats, size: Floats, chosen: Any, points: slice = EVERY) -> Floats:
+    def _point_costs(self, a: Floats, b: Floats, size: Floats, chosen: Any, points: slice = slice(None)) -> Floats:
         """(k, n): truncated squared distances of the points, or of some of them, from the chosen capsules."""
         link, ends = self.model.link[chosen], self.joints[self.model.ends[chosen]]
         placed = np.einsum("kcij,cej->kcei", a[:, link], ends) + b[:, link, None]
@@ -227,19 +244,40 @@ class PoseSearch:
 
     def _resample_limb(self, poses: PoseHypotheses, limb: list[int], draws: int, spread: float) -> PoseHypotheses:
         """Each pose with the best of `draws` rotations of one limb: half of them at random, half near its own."""
-        k = len(poses.cost)
+        turns = self._limb_turns(poses, limb, draws, spread)
+        chosen, cost = self._best_limbs(poses, limb, turns)
+        rotations = poses.rotations.copy()
+        rotations[:, limb] = turns[np.arange(len(chosen)), chosen]
+        return poses._replace(rotations=rotations, cost=cost)
+
+    def _limb_turns(self, poses: PoseHypotheses, limb: list[int], draws: int, spread: float) -> Floats:
+        """(k, draws, links of the limb, 3, 3): rotations of a limb, half of them at random, half near that of the pose,
+        which is the first.
+        """
+        k, fresh = len(poses.cost), draws // 2
+        own = poses.rotations[:, None, limb]
+        turns = np.empty((k, draws, len(limb), 3, 3))
+        random = self._random_limb(limb, self.rng.random(k * fresh) < SEATED_SHARE)
+        turns[:, :fresh] = random.reshape(k, fresh, len(limb), 3, 3)
+        noise = self.rng.normal(size=(k, draws - fresh, len(limb), 3)) * spread
+        turns[:, fresh:] = own @ articulation.exp(noise)
+        turns[:, :1] = own
+        return turns
+
+    def _best_limbs(self, poses: PoseHypotheses, limb: list[int], turns: Floats) -> tuple[AnyInteger, Floats]:
+        """Which rotations of a limb (k, draws, links of the limb, 3, 3) are best for each pose (k,), and its cost then
+        (k,).
+        """
+        if self.compiled is not None and native.available():
+            best, cost = self.compiled.best_limbs(poses.rotations, poses.root, poses.size, np.array(limb), turns)
+            return best, cost
+        k, draws = turns.shape[:2]
         a, b = self._transforms(poses)
         of_limb, own = np.isin(self.model.link, limb), np.isin(self.sample_links, limb)
         rest = self._point_costs(a, b, poses.size, ~of_limb)
         before = self._sample_costs(a, b, slice(None))
         tried = PoseHypotheses(*(np.repeat(values, draws, axis=0) for values in poses))
-        turns = tried.rotations[:, limb]
-        fresh = np.tile(np.arange(draws) < draws // 2, k)
-        turns[fresh] = self._random_limb(limb, self.rng.random(int(fresh.sum())) < SEATED_SHARE)
-        noise = self.rng.normal(size=(int((~fresh).sum()), len(limb), 3)) * spread
-        turns[~fresh] = turns[~fresh] @ articulation.exp(noise)
-        turns[::draws] = poses.rotations[:, limb]  # the first is unchanged
-        tried.rotations[:, limb] = turns
+        tried.rotations[:, limb] = turns.reshape(k * draws, len(limb), 3, 3)
         aa, bb = np.repeat(a, draws, axis=0), np.repeat(b, draws, axis=0)
         for link in limb:
             self._update_transform(tried, aa, bb, link)
@@ -248,9 +286,8 @@ class PoseSearch:
         samples = self._sample_costs(aa, bb, own).sum(axis=1).reshape(k, draws)
         cost += (samples + before[:, ~own].sum(axis=1)[:, None]) / before.shape[1]
         cost += hinge_penalty(self.body, tried.rotations).reshape(k, draws)
-        chosen = cost.argmin(axis=1)
-        rows = np.arange(k) * draws + chosen
-        return tried.take(rows)._replace(cost=cost[np.arange(k), chosen])
+        best = cost.argmin(axis=1)
+        return best, cost[np.arange(k), best]
 
     # --- selection --------------------------------------------------------------------------------------------------
 
@@ -305,5 +342,6 @@ def hinge_penalty(body: Body, rotations: Floats) -> Floats:
     """(k,): cost in square metres of knees and elbows that bend the wrong way in rotations (k, links, 3, 3)."""
     cost = np.zeros(len(rotations))
     for link, hinge in hinges(body):
-        cost += 0.002 * np.maximum(-articulation.log(rotations[:, link]) @ hinge - 0.1, 0) ** 2
+        turn = -articulation.log(rotations[:, link]) @ hinge
+        cost += HINGE_COST * np.maximum(turn - FREE_HINGE_RAD, 0) ** 2
     return cost

@@ -54,12 +54,18 @@ def test_distances_from_decoded_points():
     require_same(frame.own_distances, RNG.normal(size=(40, 3)))
 
 
-def test_frames_on_the_lattice():
-    def codes() -> np.ndarray:
-        grid, (frame,) = to_lattice([(POINTS, None)], 0.002, coloured=False)
-        return np.concatenate([frame.codes, frame.rows, grid.corner])
+@pytest.mark.parametrize("bound_m", [0.002, 0.5])
+def test_frames_on_the_lattice(bound_m):
+    """With the coarser bound most cells have several points."""
+    colours = np.random.default_rng(4).integers(0, 256, (500, 3)).astype(np.uint8)
 
-    require_same(codes)
+    def numbers() -> np.ndarray:
+        grid, (frame,) = to_lattice([(POINTS, colours)], bound_m, coloured=True)
+        assert frame.colours is not None
+        assert frame.colours.dtype == np.uint8
+        return np.concatenate([frame.codes, frame.rows, grid.corner, frame.colours.reshape(-1)])
+
+    require_same(numbers)
 
 
 @pytest.mark.parametrize("largest", [9, 1 << 40])

@@ -61,16 +61,27 @@ def test_compiled_and_numpy_choices_are_the_same(points):
 
 
 @pytest.mark.skipif(not native.available(), reason="mocodec._native is not built, or switched off")
-def test_candidates_that_are_not_there_are_refused():
-    kernel = native.kernel("choose_candidates")
+def test_what_is_not_there_is_refused():
+    kernel = native.kernel("PointChoice")
     assert kernel is not None
-    starts, cells, errors, costs = np.array([0, 2]), np.array([0, 1]), np.array([5, 1]), np.array([1, 1])
-    assert np.asarray(kernel(starts, cells, errors, costs, np.array([0]), 3)).tolist() == [1]
-    for bad in (np.array([2]), np.array([-1])):
-        with pytest.raises(ValueError, match="not there"):
-            kernel(starts, cells, errors, costs, bad, 3)
-    with pytest.raises(ValueError, match="not there"):
-        kernel(starts, np.array([0, 2]), errors, costs, np.array([0]), 3)
+    grid, frame, hints = _ball(40)
+    codes, rows, costs = frame.codes.astype(np.uint64), frame.rows, np.ones(point_choice.CLASSES + 1, np.int64)
+
+    def choice(points=frame.originals, codes=codes, rows=rows, reach=300):
+        return kernel(hints.compiled, points, grid.step_m, grid.corner, codes, rows, reach, 2 * hints.spacing)
+
+    assert len(choice().choose(costs, hints.spacing, 1, 3)[1]) == len(rows)
+    with pytest.raises(ValueError, match="outside the octree"):
+        choice(points=frame.originals + 10)
+    with pytest.raises(ValueError, match="not sorted"):
+        choice(codes=codes[::-1])
+    for bad in (rows - 1, rows + len(codes)):
+        with pytest.raises(ValueError, match="beyond the codes"):
+            choice(rows=bad)
+    with pytest.raises(ValueError, match="shapes differ"):
+        choice(rows=rows[:-1])
+    with pytest.raises(ValueError, match="costs of another shape"):
+        choice().choose(costs[:-1], hints.spacing, 1, 3)
 
 
 @pytest.fixture(scope="module")

@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from mocodec.codecs.bodycast.streaming import Receiver, Sender
-from mocodec.errors import Corrupt
+from mocodec.codecs.bodycast.streaming import Receiver, Sender, with_checksum
+from mocodec.errors import BadInput, Corrupt
 from mocodec.metrics import point_clouds as measures
 from mocodec.pointcloud import PointClouds
 from mocodec.testing import actors, sequences
@@ -162,3 +162,98 @@ def test_decoding_goes_on_after_damaged_packets(recording):
     with pytest.raises(Corrupt):
         receiver.push(packets[1][0][:3])
     assert distance(clouds, 2, receiver.push(packets[2][0])) < 0.05
+
+
+BOUND = 0.004
+
+
+@pytest.fixture(scope="module")
+def bounded():
+    """Eight frames within a bound, coloured; frame 3 is empty and frame 5 shows twenty points only."""
+    performance = sequences.jumping_jacks(actors.capsules(), 8)
+    clouds = sequences.record(performance, 1500, seed=2)
+    assert clouds.colours is not None
+    kept = {3: 0, 5: 20}
+    frames = [
+        (points[: kept.get(i, len(points))], colours[: kept.get(i, len(points))])
+        for i, (points, colours) in enumerate(zip(clouds.positions, clouds.colours, strict=True))
+    ]
+    sender = Sender(skeleton=performance.skeleton(), max_error=BOUND)
+    return frames, [sender.push(*frame) for frame in frames]
+
+
+def farthest(one, other) -> float:
+    """The largest distance of points from the nearest of the others, in both directions."""
+    apart = np.linalg.norm(one[:, None] - other, axis=2)
+    return float(max(apart.min(axis=0).max(), apart.min(axis=1).max()))
+
+
+def test_packets_within_a_bound_carry_all_points_and_decode_alone(bounded):
+    frames, packets = bounded
+    for number, (points, colours) in enumerate(frames):
+        receiver = Receiver()
+        receiver.push(packets[0][0])
+        cloud = receiver.push(packets[number][-1])
+        assert cloud is not None
+        assert cloud[1] is not None
+        assert len(cloud[0]) == len(cloud[1])
+        if len(points):
+            assert farthest(points, cloud[0]) <= BOUND
+            assert abs(float(cloud[1].mean()) - float(colours.mean())) < 3
+        else:
+            assert len(cloud[0]) == 0
+
+
+def test_points_without_a_body_need_no_model_and_others_do(bounded):
+    _, packets = bounded
+    receiver = Receiver()
+    assert receiver.push(packets[1][0]) is None
+    assert receiver.conceal() is None
+    cloud = receiver.push(packets[5][0])
+    assert cloud is not None
+    assert len(cloud[0]) > 0
+    assert receiver.push(packets[3][0]) is None  # late
+
+
+def test_a_lost_packet_of_points_is_concealed_by_the_surface(bounded):
+    frames, packets = bounded
+    receiver = Receiver()
+    for packet in packets[0]:
+        receiver.push(packet)
+    receiver.push(packets[1][0])
+    cloud = receiver.conceal()
+    assert cloud is not None
+    assert farthest(frames[2][0], cloud[0]) < 0.3
+
+
+def test_points_of_no_person_are_within_the_bound_too():
+    rng = np.random.default_rng(4)
+    sender, receiver = Sender(max_error=BOUND), Receiver()
+    for _ in range(2):
+        points = rng.uniform(-0.3, 0.3, (400, 3)) * [1, 0.05, 1]
+        [packet] = sender.push(points)
+        cloud = receiver.push(packet)
+        assert cloud is not None
+        assert farthest(points, cloud[0]) <= BOUND
+    assert sender.model == b""
+
+
+def test_damaged_packets_of_points_raise(bounded):
+    _, packets = bounded
+    receiver = Receiver()
+    receiver.push(packets[0][0])
+    content = packets[1][0][:-2]
+    for at in range(1, 40):
+        for damaged in (content[:at], content[:at] + bytes([content[at] ^ 0xFF]) + content[at + 1 :]):
+            try:
+                receiver.push(with_checksum(damaged))
+            except Corrupt:
+                receiver._shown = 0
+    assert receiver.push(packets[2][0]) is not None
+
+
+def test_settings_that_cannot_be_used_are_refused():
+    with pytest.raises(BadInput):
+        Sender(max_error=-1.0)
+    with pytest.raises(BadInput):
+        Sender(cells=3)

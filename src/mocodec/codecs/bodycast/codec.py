@@ -101,7 +101,7 @@ class Bodycast:
         """
         if isinstance(clouds, Motion):
             raise CannotEncode("bodycast codes point clouds, not motions")
-        self._require_settings()
+        self.require_settings()
         if self.residual == EXACT and any(np.isinf(points).any() for points in clouds.positions):
             raise CannotEncode("residual exact cannot keep points at infinity: leave them out")
         frames = [usable_points(clouds, frame) for frame in range(len(clouds))]
@@ -194,7 +194,7 @@ class Bodycast:
     def _percent(self) -> float:
         return 0.0 if isinstance(self.residual, str) else float(self.residual)
 
-    def _require_settings(self) -> None:
+    def require_settings(self) -> None:
         if (isinstance(self.residual, str) and self.residual != EXACT) or not 0 <= self._percent <= 100:
             raise BadInput(f'residual is a percentage from 0 to 100, or "{EXACT}"')
         if not 100 <= self.cells <= 1_000_000 or not (self.points is None or 1 <= self.points <= MAX_POINTS):

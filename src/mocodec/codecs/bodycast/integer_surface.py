@@ -198,8 +198,8 @@ def hints_of_samples(
 def _spacing_of(points: Integers, neighbours: Integers) -> int:
     """The median distance of samples (m, 3) from the first of their neighbours (m, k), at least 1."""
     if (kernel := native.kernel("median_gap")) is not None:
-        return max(math.isqrt(kernel(points, neighbours)), 1)
+        return math.isqrt(max(kernel(points, neighbours), 1))
     x, y, z = (points[neighbours[:, 0]] - points).T
     gaps = x * x + y * y + z * z
     middle = len(gaps) // 2
-    return max(math.isqrt(int(np.partition(gaps, middle)[middle])), 1)
+    return math.isqrt(max(int(np.partition(gaps, middle)[middle]), 1))

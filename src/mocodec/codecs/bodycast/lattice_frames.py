@@ -45,7 +45,12 @@ class LatticeFrame(NamedTuple):
 
     def with_cells(self, cells: Integers) -> LatticeFrame:
         """The same points in other cells (m, 3)."""
-        return _lattice_frame(cells, self.originals, self.own_colours)
+        return self.with_codes(*_distinct_codes(cells))
+
+    def with_codes(self, codes: Integers, rows: Integers) -> LatticeFrame:
+        """The same points with other `codes` and `rows`."""
+        colours = None if self.own_colours is None else _mean_colours(self.own_colours, rows, len(codes))
+        return LatticeFrame(codes, colours, self.originals, rows, self.own_colours)
 
 
 @dataclass(frozen=True)
@@ -126,25 +131,22 @@ def _grid(filled: Sequence[Integers], step: float, bound_m: float) -> LatticeGri
 
 def _lattice_frame(coordinates: Integers, points: Floats, colours: Bytes | None) -> LatticeFrame:
     """Points of one cell become one, with their mean colour."""
-    if not len(points):
-        return LatticeFrame(np.zeros(0, np.int64), colours, points, np.zeros(0, np.int64), colours)
-    codes, order = _sorted_with_order(octree.morton_codes(coordinates))
-    is_first = np.diff(codes, prepend=-1) > 0
-    starts = np.flatnonzero(is_first)
-    rows = np.empty(len(codes), np.int64)
-    rows[order] = np.cumsum(is_first) - 1
-    if colours is None:
-        return LatticeFrame(codes[starts], None, points, rows)
-    count = np.diff(starts, append=len(codes))
-    sums = np.add.reduceat(colours[order].astype(np.float64), starts, axis=0)
-    return LatticeFrame(codes[starts], np.round(sums / count[:, None]).astype(np.uint8), points, rows, colours)
+    nothing = np.zeros(0, np.int64)
+    return LatticeFrame(nothing, None, points, nothing, colours).with_cells(coordinates)
 
 
-def _sorted_with_order(codes: Integers) -> tuple[Integers, Integers]:
-    """Codes (n,) ≥ 0 in order, and the rows that they had. Code and row in one integer sort faster than rows alone."""
-    row_bits = (len(codes) - 1).bit_length()
-    if int(codes.max()).bit_length() + row_bits > 63:
-        order = np.argsort(codes, kind="stable")
-        return codes[order], order
-    both = np.sort(codes << row_bits | np.arange(len(codes)))
-    return both >> row_bits, both & (1 << row_bits) - 1
+def _distinct_codes(cells: Integers) -> tuple[Integers, Integers]:
+    """The `codes` and `rows` of a frame with points in cells (m, 3)."""
+    if (kernel := native.kernel("distinct_codes")) is not None:
+        codes, rows = kernel(cells)
+        return np.asarray(codes), np.asarray(rows)
+    codes, rows = np.unique(octree.morton_codes(cells), return_inverse=True)
+    return codes, rows.reshape(-1)
+
+
+def _mean_colours(colours: Bytes, rows: Integers, count: int) -> Bytes:
+    """(count, 3): the mean of the colours (m, 3) at each of the rows (m,), halves rounded to even."""
+    if (kernel := native.kernel("mean_colours")) is not None:
+        return np.asarray(kernel(colours, rows, count))
+    sums = np.stack([np.bincount(rows, column, count) for column in colours.T], axis=1)
+    return np.round(sums / np.bincount(rows, minlength=count)[:, None]).astype(np.uint8)

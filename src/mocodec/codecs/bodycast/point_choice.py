@@ -29,6 +29,7 @@ STAY_BITS = 4  # of a point that smoothing would move beyond the bound, more tha
 ROUNDS = 3  # over all points and cells in a choice
 NEAR_SPACINGS = 2  # distance of a point from its sample, in spacings of samples, at most
 UNIT = 1 << FINE_BITS
+STAY_COST = round(LAMBDA * UNIT**2 * STAY_BITS)
 SUBUNIT = UNIT >> SUBUNIT_BITS
 CLASSES, CLASSES_PER_DEVIATION = 64, 8  # of distances from the surface, up to eight mean deviations
 SMOOTHED_CLASSES = 2  # on either side, over which frequencies are averaged
@@ -58,16 +59,23 @@ class _Choices(NamedTuple):
 
 def chosen_cells(frame: LatticeFrame, grid: LatticeGrid, hints: SurfaceHints, bound_m: float) -> LatticeFrame:
     """The frame with other cells for its points, all within the bound."""
-    points = np.rint((frame.originals / grid.step_m - grid.corner) * UNIT).astype(np.int64)
     reach = int(bound_m / grid.step_m * UNIT) - 1  # rounding of points takes less than a unit
+    if (kernel := native.kernel("PointChoice")) is not None:
+        places = frame.originals, grid.step_m, grid.corner, frame.codes.astype(np.uint64), frame.rows
+        choice = kernel(hints.compiled, *places, reach, NEAR_SPACINGS * hints.spacing)
+        costs = _costs_of_classes(np.asarray(choice.frequencies()), _bits_of_area(choice.width, hints))
+        spacing = min(hints.spacing, point_smoothing.MAX_SPACING)
+        return frame.with_codes(*map(np.asarray, choice.choose(costs, spacing, STAY_COST, ROUNDS)))
+    points = np.rint((frame.originals / grid.step_m - grid.corner) * UNIT).astype(np.int64)
     choices = _candidates(points, reach, grid.depth)
     samples = _near_samples(frame, hints)
-    classes, bits_of_area = _classes(points, samples, choices, hints)
+    classes, width = _classes(points, samples, choices, hints)
     is_used = np.zeros(len(choices.first), bool)
     is_used[choices.cell_of[choices.nearest]] = True
-    costs = _costs(classes, is_used, bits_of_area)
+    frequencies = np.bincount(classes[is_used], minlength=CLASSES + 1)[:CLASSES]
+    costs = _costs_of_classes(frequencies, _bits_of_area(width, hints))[classes]
     errors = _errors(points, choices, samples, hints, is_used, reach)
-    chosen = _choose(choices.starts, choices.cell_of, errors, costs, choices.nearest)
+    chosen = _PointsAndCells(choices.starts, choices.cell_of, errors, costs, choices.nearest).choose()
     return frame.with_cells(choices.cells[chosen])
 
 
@@ -75,8 +83,6 @@ def _candidates(points: Integers, reach: int, depth: int) -> _Choices:
     """The lattice points within reach of points (n, 3), both in 2^-FINE_BITS units, and within the octree; at least the
     nearest.
     """
-    if (kernel := native.kernel("lattice_candidates")) is not None:
-        return _Choices(*map(np.asarray, kernel(points, reach, depth)))
     squares, bases, sides = list[Integers](), list[Integers](), list[Integers]()
     for parity in (0, 1):
         base = 2 * ((points - parity * UNIT + UNIT) >> FINE_BITS + 1) + parity
@@ -104,8 +110,6 @@ def _candidates(points: Integers, reach: int, depth: int) -> _Choices:
 def _near_samples(frame: LatticeFrame, hints: SurfaceHints) -> Integers:
     """(n,): the sample near the lattice point of each point, −1 without one."""
     reach = NEAR_SPACINGS * hints.spacing
-    if native.kernel("OctreeSurface") is not None:
-        return np.asarray(hints.compiled.near_samples(frame.codes.astype(np.uint64), frame.rows, reach))
     nearest = point_octree.samples_of_points(frame.codes, hints)[frame.rows]
     own = np.maximum(nearest, 0)
     apart = octree.cells_of_codes(frame.codes)[frame.rows] * (1 << SUBUNIT_BITS) - hints.points[own]
@@ -124,27 +128,13 @@ def _distances(places: Integers, samples: Integers, hints: SurfaceHints) -> Inte
     return apart[:, 0] * normals[:, 0] + apart[:, 1] * normals[:, 1] + apart[:, 2] * normals[:, 2] >> NORMAL_BITS
 
 
-def _classes(points: Integers, samples: Integers, choices: _Choices, hints: SurfaceHints) -> tuple[Integers, float]:
-    """(c,): the class of each cell's distance from the surface that the points around it show; and the bits that tell
-    which class-wide part of the surface's area a lattice point lies in.
+def _classes(points: Integers, samples: Integers, choices: _Choices, hints: SurfaceHints) -> tuple[Integers, int]:
+    """(c,): the class of each cell's distance from the surface that the points around it show; and the width of a
+    class, 2^-FINE_BITS units, 0 if no point has a sample.
     """
-    if not (samples >= 0).any():
-        return np.full(len(choices.first), FAR), 0.0
-    if (kernel := native.kernel("cell_classes")) is not None:
-        of_candidates = choices.point, choices.cells, choices.first
-        found, width = kernel(points, samples, *of_candidates, hints.points, hints.normals, hints.neighbours)
-        classes = np.asarray(found)
-    else:
-        classes, width = _classes_in_numpy(points, samples, choices, hints)
-    area = SAMPLE_SHARE * len(hints.points) * (hints.spacing / (1 << SUBUNIT_BITS)) ** 2
-    return classes, float(np.log2(area * 2 * width / UNIT / 4))  # a lattice point has four cubic units
-
-
-def _classes_in_numpy(
-    points: Integers, samples: Integers, choices: _Choices, hints: SurfaceHints
-) -> tuple[Integers, int]:
-    """The classes (c,) of `_classes`, and their width, 2^-FINE_BITS units. Some points have a sample."""
     known = np.flatnonzero(samples >= 0)
+    if not len(known):
+        return np.full(len(choices.first), FAR), 0
     distance, rows = _distances(points[known], samples[known], hints), samples[known]
     offsets = hints.mean_around(distance, rows, 0, PRIOR_COUNT)
     width = max(int(np.abs(distance - offsets[rows]).mean()) // CLASSES_PER_DEVIATION, 1)
@@ -153,16 +143,22 @@ def _classes_in_numpy(
     return np.where(of_cells >= 0, np.minimum(away // width, CLASSES - 1), FAR), width
 
 
-def _costs(classes: Integers, is_used: Booleans, bits_of_area: float) -> Integers:
-    """(c,): λ · bits of a lattice point in each cell, from the frequencies of the classes (c,) of those that are used,
-    in squared 2^-FINE_BITS units.
+def _bits_of_area(width: int, hints: SurfaceHints) -> float:
+    """The bits that tell which class-wide part of the surface's area a lattice point lies in. width: of `_classes`."""
+    if not width:
+        return 0.0
+    area = SAMPLE_SHARE * len(hints.points) * (hints.spacing / (1 << SUBUNIT_BITS)) ** 2
+    return float(np.log2(area * 2 * width / UNIT / 4))  # a lattice point has four cubic units
+
+
+def _costs_of_classes(frequencies: Integers, bits_of_area: float) -> Integers:
+    """(CLASSES + 1,): λ · bits of a lattice point of each class, in squared 2^-FINE_BITS units. frequencies
+    (CLASSES,): how many of those that are used each class has.
     """
-    count = np.bincount(classes[is_used], minlength=CLASSES + 1)[:CLASSES] + 1.0
     width = 2 * SMOOTHED_CLASSES + 1
-    smooth = np.convolve(np.pad(count, SMOOTHED_CLASSES, mode="edge"), np.ones(width) / width, "valid")
+    smooth = np.convolve(np.pad(frequencies + 1.0, SMOOTHED_CLASSES, mode="edge"), np.ones(width) / width, "valid")
     bits = np.maximum(SHARED_BITS + bits_of_area - np.log2(smooth), 1.0)
-    bits = np.append(bits, bits.max())
-    return np.rint(LAMBDA * UNIT**2 * bits).astype(np.int64)[classes]
+    return np.rint(LAMBDA * UNIT**2 * np.append(bits, bits.max())).astype(np.int64)
 
 
 def _errors(
@@ -174,48 +170,38 @@ def _errors(
     reach: int,
 ) -> Integers:
     """(k,): squared distances of points (n, 3) from their candidates as they are decoded while cells are used: moved to
-    the surface where that keeps the bound; with λ · STAY_BITS where it does not. samples (n,): near points. Points with
+    the surface where that keeps the bound; with STAY_COST where it does not. samples (n,): near points. Points with
     one candidate have no choice: their errors stay 0.
     """
     own = (np.cumsum(is_used) - 1)[choices.cell_of[choices.nearest]]  # among the cells that are used
     used = choices.cells[choices.first[is_used]]
     sample_of_used = np.zeros(len(used), np.int64)
     sample_of_used[own] = samples
-    stay_cost = round(LAMBDA * UNIT**2 * STAY_BITS)
-    if (kernel := native.kernel("candidate_errors")) is not None:
-        of_points = points, choices.starts, choices.cells, choices.squares, samples, own
-        spacing = min(hints.spacing, point_smoothing.MAX_SPACING)
-        surface = hints.normals, hints.neighbours, spacing
-        return np.asarray(kernel(*of_points, used, sample_of_used, *surface, reach, stay_cost))
     some = np.flatnonzero(np.diff(choices.starts)[choices.point] > 1)
     point, cells = choices.point[some], choices.cells[some]
     candidates = Candidates(cells, samples[point], own[point])
     moves = point_smoothing.candidate_moves(candidates, used, sample_of_used, hints)
     shifts = point_smoothing.shifts_of_moves(moves, samples[point], hints)
     moved = _squares(cells * UNIT + shifts - points[point])
-    stays = choices.squares[some] + stay_cost * (moves != 0)
+    stays = choices.squares[some] + STAY_COST * (moves != 0)
     errors = np.zeros(len(choices.point), np.int64)
     errors[some] = np.where(moved <= reach**2, moved, stays)
     return errors
 
 
-def _choose(starts: Integers, cell_of: Integers, errors: Integers, costs: Integers, chosen: Integers) -> Integers:
-    """(n,): the candidates of all points that cost less together. chosen (n,): those that they have.
+class _PointsAndCells:
+    """Which candidate each point has, so that all points together cost less.
 
     In a round each point takes the candidate that costs least while the others stay; then each cell takes all points
     that gain by it, if together they gain more than it costs.
     """
-    if (kernel := native.kernel("choose_candidates")) is not None:
-        return np.asarray(kernel(starts, cell_of, errors, costs, chosen, ROUNDS))
-    return _PointsAndCells(starts, cell_of, errors, costs, chosen).choose()
-
-
-class _PointsAndCells:
-    """`_choose` point by point."""
 
     def __init__(
         self, starts: Integers, cell_of: Integers, errors: Integers, costs: Integers, chosen: Integers
     ) -> None:
+        """starts, cell_of: as in `_Choices`. errors (k,): of candidates. costs (c,): of cells. chosen (n,): candidates
+        before the first round.
+        """
         self._starts, self._cell_of, self._errors = starts.tolist(), cell_of.tolist(), errors.tolist()
         self._costs, self._chosen = costs.tolist(), chosen.tolist()
         self._users = np.bincount(cell_of[chosen], minlength=len(costs)).tolist()
@@ -224,6 +210,7 @@ class _PointsAndCells:
         self._members = [part.tolist() for part in np.split(members, np.cumsum(np.bincount(cell_of))[:-1])]
 
     def choose(self) -> Integers:
+        """(n,): the candidates of all points after ROUNDS."""
         for _ in range(ROUNDS):
             has_moved = self._change_points()
             if not self._open_cells() and not has_moved:

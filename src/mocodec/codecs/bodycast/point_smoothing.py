@@ -47,7 +47,7 @@ def smooth(cells: Integers, samples: Integers, hints: SurfaceHints | None) -> Sm
         return SmoothedPoints(np.zeros((count, 3), np.int64), np.zeros(count, np.int64), np.zeros(count, np.int64))
     if (kernel := native.kernel("smooth_points")) is not None:
         spacing = min(hints.spacing, MAX_SPACING)
-        return SmoothedPoints(*map(np.asarray, kernel(cells, samples, hints.normals, hints.neighbours, spacing)))
+        return SmoothedPoints(*map(np.asarray, kernel(hints.compiled, cells, samples, spacing)))
     moves, deviations = _moves(Candidates(cells, samples, np.arange(count)), cells, samples, hints)
     return SmoothedPoints(shifts_of_moves(moves, samples, hints), moves, deviations)
 

@@ -1,12 +1,15 @@
 """Live use: a packet a frame with at most one frame of latency, over a channel that may lose packets.
 
-    points ──Sender.push──► packets ──any channel──► Receiver.push ──► points
+    points ──Sender.push──► packets ──any channel──► Receiver.push ──► points of the body's surface, or all points
 
 The first packet carries the model. It must arrive; `Sender.model` repeats it for receivers that join late. Poses are
 coded as differences from an earlier pose. Within a group of KEY_INTERVAL frames, counted from its key pose, frame n
 refers to n without its lowest one bit: 7 to 6, 6 to 4, 4 to the key pose. So no frame refers to the odd half of the
 packets. After a loss the receiver extrapolates the motion until the next pose that it can decode. Pictures of the
 changing surface refer to the model's key picture only.
+
+Within a bound, a packet carries all points of its frame and the pose that they are coded from. It needs the model and
+no other packet.
 """
 
 from __future__ import annotations
@@ -18,7 +21,7 @@ from typing import Any
 import numpy as np
 
 from ...entropy import coder, varint
-from ...errors import Corrupt
+from ...errors import CannotEncode, Corrupt
 from ...geometry import articulation
 from ...geometry.articulation import Pose
 from ...typing import Bytes, Floats, Integers
@@ -28,12 +31,14 @@ from .body_model import unpack_model
 from .codec import Bodycast
 from .decoder import BodyDecoder
 from .encoder import BodyEncoder
+from .point_packets import PointBody, decode_points, pack_points, split_parts
 from .pose_stream import dequantise_pose, quantise_pose
 from .texture_atlas import CellSums, atlas_planes
 from .tracking import MIN_BODY_POINTS, PersonTracker
 
-MODEL, KEY_POSE, POSE, NO_BODY, PICTURE = range(5)  # kinds of packets
+MODEL, KEY_POSE, POSE, NO_BODY, PICTURE, POINTS = range(6)  # kinds of packets
 KEY_INTERVAL = 16  # frames
+FIRST_WAIT = 16  # frames until a body is looked for again, twice as many each time
 MAX_KNOWN_POSES = 4 * KEY_INTERVAL
 KEEP = 0.6  # factor on the old sums of a cell of the surface when new points fall into it
 FIRST_WEIGHT = 3.0  # points that the key picture counts for in each cell
@@ -50,7 +55,9 @@ class Sender:
     """Packets of frames of one person.
 
     skeleton, pose_step, points, cells, surface_quality, tracked_points: as in `Bodycast`. up: the vertical axis.
-    picture_every: frames from one picture of the changing surface to the next; 0 sends none.
+    picture_every: frames from one picture of the changing surface to the next; 0 sends none. max_error: no point is
+    farther from the nearest decoded point than this, and no decoded point from the nearest point, metres; None: packets
+    carry the pose of the body's surface, and no points. Raises BadInput for settings that cannot be used.
     """
 
     skeleton: Any = None
@@ -61,6 +68,7 @@ class Sender:
     surface_quality: int = 30
     tracked_points: int = 2500
     picture_every: int = 0
+    max_error: float | None = None
     model: bytes = b""
     """The packet with the model; empty until a frame has shown a body."""
     _body: BodyEncoder | None = None
@@ -68,31 +76,64 @@ class Sender:
     _next_frame: int = 0
     _key_frame: int = 0
     _sent: dict[int, Integers] = field(default_factory=dict)  # poses since the key pose, by frame
+    _next_search: int = 0  # frame from which a body is looked for
+    _wait: int = FIRST_WAIT
+
+    def __post_init__(self) -> None:
+        self._codec.require_settings()
 
     def push(self, points: Floats, colours: Bytes | None = None) -> list[bytes]:
-        """The packets of one frame: points (n, 3) metres, colours (n, 3).
+        """The packets of one frame: points (n, 3) metres, colours (n, 3). Points that are not finite are left out.
 
         One packet for the frame; before the first pose the model's too, and every `picture_every` frames a picture.
-        Raises CannotEncode if the first frame with points shows no body and no skeleton is given.
+        Raises CannotEncode if the first frame with points shows no body, no skeleton is given and there is no bound.
         """
         usable = is_usable(points)
         cloud = points[usable], None if colours is None else colours[usable]
         frame, self._next_frame = self._next_frame, self._next_frame + 1
-        if len(cloud[0]) < MIN_BODY_POINTS:
-            return [with_checksum(varint.write([NO_BODY, frame]))]
-        packets = list[bytes]()
-        if self._body is None:
-            self._body = self._start(cloud)
-            packets.append(self.model)
-        else:
+        had_body = self._body is not None
+        body = self._follow(cloud, frame) if len(cloud[0]) >= MIN_BODY_POINTS else None
+        packets = [self.model] if body is not None and not had_body else []
+        pose = None if body is None else self._pose(body, frame)
+        if body is not None and pose is not None and self.picture_every:
+            packets += self._picture(body, cloud, frame, dequantise_pose(body.person.body, pose, body.model.pose_steps))
+        return [*packets, self._frame_packet(frame, cloud, body, pose)]
+
+    @property
+    def _codec(self) -> Bodycast:
+        """The codec of recordings with these settings."""
+        return Bodycast(
+            max_error=self.max_error, pose_step=self.pose_step, points=self.points, cells=self.cells,
+            surface_quality=self.surface_quality, tracked_points=self.tracked_points,
+        )  # fmt: skip
+
+    def _follow(self, cloud: Cloud, frame: int) -> BodyEncoder | None:
+        """The body, moved to this frame, or found in it; None where a stream within a bound has none."""
+        if self._body is not None:
             self._body.person.fit(cloud, frame)
-        person, steps = self._body.person, self._body.model.pose_steps
+        elif frame >= self._next_search:
+            try:
+                self._body = self._start(cloud)
+            except CannotEncode:
+                if self.max_error is None or self.skeleton is not None:
+                    raise
+                self._next_search, self._wait = frame + self._wait, 2 * self._wait
+        return self._body
+
+    def _pose(self, body: BodyEncoder, frame: int) -> Integers:
+        """The pose of the body in steps; its angles continue from those of the pose sent before."""
+        person = body.person
         latest = self._sent.get(frame - 1, next(reversed(self._sent.values()), None))
         previous = np.zeros(3 + 3 * len(person.body), np.int64) if latest is None else latest
-        pose = quantise_pose(person.body, person.tracker.pose, steps, previous)
-        if self.picture_every:
-            packets += self._picture(self._body, cloud, frame, dequantise_pose(person.body, pose, steps))
-        return [*packets, self._pose_packet(frame, pose)]
+        return quantise_pose(person.body, person.tracker.pose, body.model.pose_steps, previous)
+
+    def _frame_packet(self, frame: int, cloud: Cloud, body: BodyEncoder | None, pose: Integers | None) -> bytes:
+        """The packet that shows a frame. pose: of the body in it."""
+        if self.max_error is not None:
+            coded_from = None if body is None else PointBody(body.model, body.texture)
+            content = pack_points(cloud, self.max_error, coded_from, pose)
+            return with_checksum(varint.write([POINTS, frame]) + content)
+        return with_checksum(varint.write([NO_BODY, frame])) if pose is None else self._pose_packet(frame, pose)
 
     def _pose_packet(self, frame: int, pose: Integers) -> bytes:
         if not self._sent or frame - self._key_frame >= KEY_INTERVAL:
@@ -110,10 +151,7 @@ class Sender:
         points, colours = cloud
         body = BodyEncoder(PersonTracker(cloud, self.skeleton, self.up, self.tracked_points))
         body.add_frame(0, cloud, is_tracked=False)
-        codec = Bodycast(
-            pose_step=self.pose_step, points=self.points, cells=self.cells, surface_quality=self.surface_quality
-        )
-        body.build_model(codec.parameters, len(points), colours is not None, is_only_body=True)
+        body.build_model(self._codec.parameters, len(points), colours is not None, is_only_body=True)
         body.clouds.clear()
         self._sums = CellSums.from_planes(body.model.atlas, body.planes, FIRST_WEIGHT)
         self.model = with_checksum(varint.write([MODEL]) + body.packed_model)
@@ -149,6 +187,7 @@ class Receiver:
     pose: Pose | None = None
     frame: int = -1
     _body: BodyDecoder | None = None
+    _coded_from: PointBody | None = None
     _surface: tuple[Floats, Bytes] | None = None
     _picture_frame: int = -1
     _known: dict[int, Integers] = field(default_factory=dict)  # poses since the key pose, by frame
@@ -170,9 +209,11 @@ class Receiver:
         if kind == MODEL:
             self._take_model(content[at:])
             return None
-        if kind not in (KEY_POSE, POSE, NO_BODY, PICTURE):
+        if kind not in (KEY_POSE, POSE, NO_BODY, PICTURE, POINTS):
             raise Corrupt(f"bodycast: a packet of unknown kind {kind}")
         (frame,), at = varint.read(content, 1, at)
+        if kind == POINTS:
+            return self._take_points(frame, content[at:])
         if self._body is None:
             return None
         if kind == PICTURE:
@@ -193,7 +234,9 @@ class Receiver:
         return self.conceal() if is_new else None
 
     def conceal(self) -> Cloud | None:
-        """The extrapolated frame for a packet that is missing: each time the motion is half as fast."""
+        """The extrapolated frame for a packet that is missing, as the body's surface: each time the motion is half as
+        fast. None where no body has been seen.
+        """
         if self._body is None or self.pose is None:
             return None
         if self._previous is not None:
@@ -207,6 +250,7 @@ class Receiver:
         if data == self._model:
             return
         self._body, self._model = BodyDecoder(unpack_model(data)), data
+        self._coded_from = None
         self._known.clear()
         self.pose = self._previous = self._surface = None
         self.frame = self._shown = self._picture_frame = -1
@@ -217,6 +261,21 @@ class Receiver:
             return
         *_, planes = video.decode([body.model.key_picture, packet], body.model.atlas.image_shape)
         self._surface, self._picture_frame = body.samples.surface(planes), frame
+
+    def _take_points(self, frame: int, data: bytes) -> Cloud | None:
+        """The points of a frame, unless a later one has been shown or the model of their body is missing."""
+        part = split_parts(data)
+        if frame <= self._shown or (part.has_body and self._body is None):
+            return None
+        pose = None
+        if part.has_body and self._body is not None:
+            self._coded_from = self._coded_from or PointBody.of(self._body.model)
+            pose = self._coded_from.unpack_pose(part.pose)
+        cloud = decode_points(part, self._coded_from, pose)
+        self._shown = frame
+        if self._body is not None and pose is not None:
+            self._show(self._body, frame, pose)
+        return cloud
 
     def _take_pose(
         self, body: BodyDecoder, frame: int, data: bytes, is_key: bool, reference: Integers | None
