@@ -1,4 +1,5 @@
-// Points around the cylinders of links, for geometry/articulated_icp.py: closest links, outward normals, moments.
+// Points around the cylinders of links, for geometry/articulated_icp.py: closest links, outward normals, moments, nearest
+// surfaces; and skinned points in the canonical pose, for geometry/skinning.py.
 
 #include <algorithm>
 #include <cmath>
@@ -130,6 +131,104 @@ Output<double> third_moments(Input<double, 2> points, Input<int64_t, 1> links, s
     return out.give({count, 3, 3, 3});
 }
 
+// Distance of a link's surface from its axis, as harmonics around and along it: articulated_icp.surface_shapes.
+class LinkShape {
+  public:
+    static constexpr size_t HARMONICS = 10;
+
+    // axis (3), a unit vector; length: of the link, metres; coefficients (HARMONICS).
+    LinkShape(const double *axis, double length, const double *coefficients) : length_(length), coefficients_(coefficients) {
+        const double across[3] = {std::abs(axis[0]) < 0.9 ? 1.0 : 0.0, std::abs(axis[0]) < 0.9 ? 0.0 : 1.0, 0.0};
+        cross(axis, across, side_);
+        const double norm = std::sqrt(dot(side_, side_));
+        for (double &x : side_) x /= norm;
+        cross(axis, side_, other_);
+        for (size_t k = 0; k < HARMONICS; ++k) most_ += std::abs(coefficients[k]);
+    }
+
+    // No distance of the surface is larger.
+    double most() const { return most_; }
+
+    // The distance of the surface in the direction of an offset from the link's origin, `along` its axis, metres.
+    double radius(const double *offset, double along) const {
+        const double x = dot(offset, side_), y = dot(offset, other_), radial = std::sqrt(x * x + y * y);
+        const double cosine = radial > 0 ? x / radial : 1, sine = radial > 0 ? y / radial : 0;
+        const double share = std::clamp(along / length_, 0.0, 1.0) * 2 - 1;
+        const double around[5] = {1, cosine, sine, cosine * cosine - sine * sine, 2 * sine * cosine};
+        double sum = 0;
+        for (size_t k = 0; k < 5; ++k) sum += (coefficients_[k] + share * coefficients_[5 + k]) * around[k];
+        return sum;
+    }
+
+  private:
+    double side_[3], other_[3], length_, most_ = 0;
+    const double *coefficients_;
+};
+
+// articulated_icp.nearest_surface: the link with the nearest surface to each of points (n, 3) with normals (n, 3). shapes
+// (links, 10), or (0, 10) for cylinders. Weights: of the distance beyond an end, and of a surface across the normal, metres.
+Output<int64_t> nearest_surfaces(Input<double, 2> points, Input<double, 2> normals, Input<double, 2> joints,
+                                 Input<double, 2> axes, Input<double, 1> lengths, Input<double, 1> radii,
+                                 Input<double, 2> shapes, double beyond_weight, double across_m) {
+    const size_t n = points.shape(0);
+    const Cylinders links(joints, axes, lengths, radii);
+    if (points.shape(1) != 3 || normals.shape(1) != 3 || normals.shape(0) != n || shapes.shape(1) != LinkShape::HARMONICS ||
+        (shapes.shape(0) && shapes.shape(0) != links.count))
+        throw std::invalid_argument("nearest_surfaces: shapes differ");
+    std::vector<LinkShape> of_links;
+    for (size_t link = 0; link < shapes.shape(0); ++link)
+        of_links.emplace_back(axes.data() + 3 * link, lengths.data()[link], shapes.data() + LinkShape::HARMONICS * link);
+    Fresh<int64_t> out(n);
+    for (size_t i = 0; i < n; ++i) {
+        const double *normal = normals.data() + 3 * i;
+        double best = std::numeric_limits<double>::infinity();
+        out.data[i] = 0;
+        for (size_t link = 0; link < links.count; ++link) {
+            const double *axis = axes.data() + 3 * link;
+            double offset[3], away[3];
+            for (size_t d = 0; d < 3; ++d) offset[d] = points.data()[3 * i + d] - joints.data()[3 * link + d];
+            const double along = dot(offset, axis), foot = std::clamp(along, 0.0, lengths.data()[link]);
+            for (size_t d = 0; d < 3; ++d) away[d] = offset[d] - foot * axis[d];
+            const double distance = std::sqrt(dot(away, away)), beyond = beyond_weight * std::abs(along - foot);
+            const double most = of_links.empty() ? radii.data()[link] : of_links[link].most();
+            if (distance - most + beyond >= best) continue;
+            const double radius = of_links.empty() ? radii.data()[link] : of_links[link].radius(offset, along);
+            const double facing = std::abs(dot(away, normal)) / std::max(distance, 1e-6);
+            const double cost = std::abs(distance - radius) + beyond + across_m * (1 - facing);
+            if (cost < best) best = cost, out.data[i] = int64_t(link);
+        }
+    }
+    return out.give({n});
+}
+
+// skinning.Skin.unposed: places (n, 3) of posed points in the canonical pose. a (links, 3, 3), b (links, 3): transforms;
+// pairs (n, 2): links of each point; weights (n): of the first.
+Output<double> unposed_places(Input<double, 3> a, Input<double, 2> b, Input<int64_t, 2> pairs, Input<double, 1> weights,
+                              Input<double, 2> places) {
+    const size_t n = places.shape(0), links = a.shape(0);
+    if (a.shape(1) != 3 || a.shape(2) != 3 || b.shape(0) != links || b.shape(1) != 3 || pairs.shape(0) != n ||
+        pairs.shape(1) != 2 || weights.shape(0) != n || places.shape(1) != 3)
+        throw std::invalid_argument("unposed_places: shapes differ");
+    Fresh<double> out(3 * n);
+    for (size_t i = 0; i < n; ++i) {
+        double m[9], right[3];
+        const double share = weights.data()[i];
+        const int64_t *pair = pairs.data() + 2 * i;
+        for (int k = 0; k < 2; ++k)
+            if (pair[k] < 0 || pair[k] >= int64_t(links)) throw std::invalid_argument("unposed_places: a link beyond the body");
+        const double *one = a.data() + 9 * pair[0], *other = a.data() + 9 * pair[1];
+        for (int k = 0; k < 9; ++k) m[k] = share * one[k] + (1 - share) * other[k];
+        for (int d = 0; d < 3; ++d)
+            right[d] = places.data()[3 * i + d] - (share * b.data()[3 * pair[0] + d] + (1 - share) * b.data()[3 * pair[1] + d]);
+        double rows[3][3];  // of the adjugate, transposed
+        cross(m + 3, m + 6, rows[0]), cross(m + 6, m, rows[1]), cross(m, m + 3, rows[2]);
+        const double determinant = dot(m, rows[0]);
+        for (int d = 0; d < 3; ++d)
+            out.data[3 * i + d] = (rows[0][d] * right[0] + rows[1][d] * right[1] + rows[2][d] * right[2]) / determinant;
+    }
+    return out.give({n, 3});
+}
+
 }  // namespace
 
 void bind_link_surfaces(nb::module_ &m) {
@@ -137,4 +236,6 @@ void bind_link_surfaces(nb::module_ &m) {
     m.def("closest_links", &closest_links);
     m.def("turned_outward", &turned_outward);
     m.def("third_moments", &third_moments);
+    m.def("nearest_surfaces", &nearest_surfaces);
+    m.def("unposed_places", &unposed_places);
 }

@@ -20,6 +20,7 @@
 //                   for geometry/normals.py (neighbour_cells.h)
 //   link_surfaces.cpp     points around the cylinders of links, for geometry/articulated_icp.py; capsules.h: distances from
 //                   capsules, for geometry/capsules.py
+//   neighbours.cpp  neighbours of points and cells, for geometry/neighbours.py
 //   first_pose.cpp  costs of poses, for geometry/pose_search.py (pose_scorer.h), and fits of pose and proportions, for
 //                   geometry/body_fit.py (capsule_fitter.h)
 //   lattice.cpp     the lattice engine, for stages/lattice.py; its parts are lattice.h, lattice_points.h and adaptive_bits.h
@@ -66,7 +67,7 @@ namespace nb = nanobind;
     PART(point_smoothing) PART(positions) PART(link_surfaces) PART(state_stream) PART(body_frames) \
     PART(ordered) PART(lattice_neighbours) PART(marker_fitting)         \
     PART(reference_surface) PART(ppca) PART(point_choice) PART(lattice_frames) PART(clip_synthesis) PART(clip_lengths) PART(clip_quantiser) \
-    PART(motion_segments) PART(bounded) PART(first_pose)
+    PART(motion_segments) PART(bounded) PART(first_pose) PART(neighbours)
 
 #define DECLARE(name) void bind_##name(nb::module_ &);
 PARTS(DECLARE)

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from mocodec import native
-from mocodec.geometry import articulated_icp, articulation, capsules, icp, normals
+from mocodec.geometry import articulated_icp, articulation, capsules, icp, normals, skinning
 from mocodec.testing import actors, sequences
 
 pytestmark = pytest.mark.skipif(not native.available(), reason="mocodec._native is not built, or switched off")
@@ -140,3 +140,37 @@ def test_points_that_are_not_finite_are_refused():
     assert kernel is not None
     with pytest.raises(ValueError, match="not finite"):
         kernel(np.array([[0.0, np.nan, 0.0]]), np.zeros(1, np.uint8))
+
+
+@pytest.fixture(scope="module")
+def figure() -> tuple[articulation.Body, np.ndarray, np.ndarray]:
+    """A body, points on its surface and their normals."""
+    performance = sequences.jumping_jacks(actors.capsules(), 1)
+    clouds = sequences.record(performance, 1500, normals=True)
+    assert clouds.normals is not None
+    actor = performance.actor
+    body = articulation.from_skeleton(actor.names, actor.parents, performance.joints[0])
+    return body, clouds.positions[0], clouds.normals[0]
+
+
+def test_compiled_nearest_surfaces_are_the_same(figure):
+    body, points, outward = figure
+    links = articulated_icp.nearest_surface(body, points, outward)
+    shapes = articulated_icp.surface_shapes(body, points, links)
+    shaped = articulated_icp.nearest_surface(body, points, outward, shapes)
+    assert len(np.unique(links)) > 10
+    with native.without():
+        np.testing.assert_array_equal(links, articulated_icp.nearest_surface(body, points, outward))
+        np.testing.assert_array_equal(shaped, articulated_icp.nearest_surface(body, points, outward, shapes))
+
+
+def test_compiled_inverse_skinning_agrees_with_numpy(figure):
+    body, points, outward = figure
+    skin = skinning.skin(body, points, articulated_icp.nearest_surface(body, points, outward))
+    turns = np.random.default_rng(0).normal(0, 0.2, (len(body), 3))
+    a, b = articulation.transforms(body, articulation.Pose(articulation.exp(turns), np.array([1.0, 2, 3])))
+    rows = np.arange(0, len(points), 3)
+    unposed = skin.unposed(a, b, rows, skin.posed(a, b, rows))
+    np.testing.assert_allclose(unposed, points[rows], atol=1e-9)
+    with native.without():
+        np.testing.assert_allclose(unposed, skin.unposed(a, b, rows, skin.posed(a, b, rows)), atol=1e-9)

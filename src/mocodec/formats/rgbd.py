@@ -11,6 +11,7 @@ from __future__ import annotations
 import json
 import math
 import re
+from collections.abc import Collection
 from importlib import import_module
 from os import PathLike
 from pathlib import Path
@@ -48,6 +49,17 @@ def is_sequence(path: str | PathLike[str]) -> bool:
     """Whether a folder has intrinsics and depth images as `read` expects them."""
     folder = Path(path)
     return folder.is_dir() and _first(folder, INTRINSICS) is not None and _first(folder, DEPTH_FOLDERS) is not None
+
+
+def hint(names: Collection[str]) -> str:
+    """What a folder with these names in it lacks for `read`, in words; "" where it has no images."""
+    if set(names) & set(DEPTH_FOLDERS):
+        return f"depth images need their intrinsics beside them: a {INTRINSICS[0]} with fx, fy, cx, cy and rate"
+    if any(name.lower().endswith(".png") for name in names):
+        return (
+            f"depth images are read from a folder with {INTRINSICS[0]} and {DEPTH_FOLDERS[0]}/*.png: name that folder"
+        )
+    return ""
 
 
 def read(

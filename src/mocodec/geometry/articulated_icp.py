@@ -25,6 +25,9 @@ MIN_SHAPE_POINTS = 30
 """Points that a link must have for a shape of its own; otherwise it is a cylinder."""
 SHAPE_NOISE_M = 0.02
 """Residual at which a point counts half when a shape is fitted, metres."""
+BEYOND_WEIGHT, ACROSS_M = 0.5, 0.05
+"""In the distance of a surface: the weight of what is beyond the ends of its axis, and what a surface across the
+point's normal adds, metres."""
 MIN_CYLINDER_POINTS = 20
 """Points that a link must have for its radius to be fitted."""
 MIN_RADIUS_M, MAX_RADIUS_M, MIN_LENGTH_M = 0.02, 0.25, 0.04
@@ -160,6 +163,10 @@ def nearest_surface(body: Body, points: Floats, normals: Floats, shapes: Floats 
     """(n,): the link with the nearest surface to each canonical point (n, 3): a cylinder, or of `shapes` as
     `surface_shapes` returns them. Links whose surface faces across the point's normal count as farther.
     """
+    if (kernel := native.kernel("nearest_surfaces")) is not None:
+        given = np.zeros((0, 10)) if shapes is None else shapes
+        cylinders = body.origins, body.axes, body.lengths, body.radii
+        return np.asarray(kernel(points, normals, *cylinders, given, BEYOND_WEIGHT, ACROSS_M))
     offset = points[None] - body.origins[:, None]
     along = np.einsum("lni,li->ln", offset, body.axes)
     foot = np.clip(along, 0, body.lengths[:, None])
@@ -168,9 +175,9 @@ def nearest_surface(body: Body, points: Floats, normals: Floats, shapes: Floats 
     radius = body.radii[:, None]
     if shapes is not None:
         radius = np.einsum("kln,lk->ln", _harmonics(offset, body.axes[:, None], body.lengths[:, None]), shapes)
-    distance = np.abs(away - radius) + 0.5 * np.abs(along - foot)
+    distance = np.abs(away - radius) + BEYOND_WEIGHT * np.abs(along - foot)
     facing = np.einsum("lni,ni->ln", out, normals) / np.maximum(away, 1e-6)
-    return (distance + 0.05 * (1 - np.abs(facing))).argmin(axis=0)
+    return (distance + ACROSS_M * (1 - np.abs(facing))).argmin(axis=0)
 
 
 def surface_shapes(body: Body, points: Floats, links: AnyInteger, prior_points: float = 12.0) -> Floats:
@@ -235,20 +242,20 @@ def fit_cylinders(body: Body, points: Floats, links: AnyInteger, paired: bool = 
 
     paired: limit the radius of a limb by that of its mirrored one: a thicker limb has points of what it touches.
     """
-    radii, tips = body.radii.copy(), body.tips.copy()
+    radii, tips, axes, lengths = body.radii.copy(), body.tips.copy(), body.axes, body.lengths
     fitted = np.zeros(len(body), bool)
     leaf = ~np.isin(np.arange(len(body)), body.parents)
     for link in range(len(body)):
         own = points[links == link] - body.origins[link]
         if len(own) < MIN_CYLINDER_POINTS:
             continue
-        along = own @ body.axes[link]
-        radial = np.linalg.norm(own - along[:, None] * body.axes[link], axis=1)
+        along = own @ axes[link]
+        radial = np.linalg.norm(own - along[:, None] * axes[link], axis=1)
         radii[link] = np.clip(np.median(radial), MIN_RADIUS_M, MAX_RADIUS_M)
         fitted[link] = True
         if leaf[link]:
-            length = np.clip(np.percentile(along, 97), MIN_LENGTH_M, 2.0 * body.lengths[link])
-            tips[link] = body.origins[link] + length * body.axes[link]
+            length = np.clip(np.percentile(along, 97), MIN_LENGTH_M, 2.0 * lengths[link])
+            tips[link] = body.origins[link] + length * axes[link]
     if paired:
         for one, other in mirrored_links(body):
             if fitted[one] and fitted[other]:

@@ -15,7 +15,7 @@ import numpy as np
 from .. import native
 from ..errors import BadInput, CannotEncode
 from ..typing import AnyInteger, Floats
-from . import articulation, pose_search, stock_body
+from . import articulation, neighbours, pose_search, stock_body
 from .articulation import Body
 from .body_matching import FramePoints
 from .capsules import capsule_distances, surface_distances
@@ -104,19 +104,14 @@ def largest_group(points: Floats, gap: float = 0.15) -> Floats:
     """The largest connected group of points (n, 3), where gaps of about `gap` metres still connect: one person of
     several, without outliers. Points more than seven metres from the others are ignored.
     """
-    from scipy.ndimage import label
-
     low = np.percentile(points, 1, axis=0) - 2.0
     cell = np.clip((points - low) / gap, 0, 60).astype(np.int64)  # nine metres
-    filled = np.zeros((61, 61, 61), bool)
-    filled[tuple(cell.T)] = True
-    labels = np.empty(filled.shape, np.int32)
-    label(filled, np.ones((3, 3, 3)), labels)
+    _, first, cell_of = np.unique(
+        (cell[:, 0] * 61 + cell[:, 1]) * 61 + cell[:, 2], return_index=True, return_inverse=True
+    )
+    group = neighbours.groups(cell[first], 3)[cell_of.reshape(-1)]
     inside = ((cell > 0) & (cell < 60)).all(axis=1)
-    group = np.where(inside, labels[tuple(cell.T)], 0)
-    count = np.bincount(group)
-    count[0] = 0
-    is_largest = group == count.argmax()
+    is_largest = inside & (group == np.bincount(group[inside], minlength=1).argmax())
     return points[is_largest] if is_largest.any() else points
 
 

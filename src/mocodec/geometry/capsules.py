@@ -8,7 +8,7 @@ import numpy as np
 
 from .. import native
 from ..typing import Booleans, Floats, Integers
-from . import single_view
+from . import neighbours, single_view
 
 HIDDEN_M = 0.04
 """Distance from the points at which a hidden place counts, at most, metres: a limb is rather seen than hidden."""
@@ -50,17 +50,15 @@ class DistanceField:
     """
 
     def __init__(self, points: Floats, cell: float = 0.03, margin: float = 0.25) -> None:
-        from scipy.ndimage import distance_transform_edt
-
         self.cell, self.low = cell, points.min(axis=0) - margin
         self.shape = np.ceil((points.max(axis=0) + margin - self.low) / cell).astype(np.int64) + 1
-        empty = np.ones(self.shape, bool)
-        empty[tuple(((points - self.low) / cell).astype(np.int64).T)] = False
-        values = np.asarray(distance_transform_edt(empty), np.float32) * cell
+        filled = np.zeros(self.shape, bool)
+        filled[tuple(((points - self.low) / cell).astype(np.int64).T)] = True
+        values = neighbours.cell_distances(filled).astype(np.float32) * cell
         self.hidden = self._hidden_places(points)
         if self.hidden is not None:
-            empty &= ~self.hidden.reshape(self.shape)
-            from_hidden = np.asarray(distance_transform_edt(empty), np.float32) * cell
+            filled |= self.hidden.reshape(self.shape)
+            from_hidden = neighbours.cell_distances(filled).astype(np.float32) * cell
             values = np.minimum(values, from_hidden + np.float32(HIDDEN_M))
         self.values = values.ravel()
 

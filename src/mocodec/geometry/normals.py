@@ -6,9 +6,12 @@ import numpy as np
 
 from .. import native
 from ..typing import Floats
+from .neighbours import nearest
 
 VOTING_ROUNDS = 8
 """Rounds in which neighbours vote on a normal's orientation."""
+BLUR = 1.5
+"""Standard deviation of the Gaussian that the density grid is blurred with, cells."""
 MAX_CELLS = 99
 """Cells of a side of the density grid, at most: five metres; points beyond count as in the last cell."""
 
@@ -23,10 +26,7 @@ def estimate(points: Floats, among: Floats | None = None, neighbours: int = 10) 
     among = points if among is None else among
     if (kernel := native.kernel("surface_normals")) is not None:
         return np.asarray(kernel(points, among, neighbours))
-    from scipy.spatial import KDTree
-
-    tree = KDTree(among, leafsize=16, compact_nodes=False, balanced_tree=False)
-    spread = among[tree.query(points, k=min(neighbours, len(among)))[1]] - points[:, None]
+    spread = among[nearest(points, among, min(neighbours, len(among)))[1]] - points[:, None]
     spread -= spread.mean(axis=1, keepdims=True)
     return smallest_eigenvectors(spread.transpose(0, 2, 1) @ spread)
 
@@ -37,13 +37,9 @@ def outward(points: Floats, neighbours: int = 8, cell: float = 0.05) -> Floats:
     The centre is a Gaussian-weighted mean of the points within about 15 cm, computed on a grid with cells of `cell`
     metres. Neighbours with similar normals then vote on the orientation.
     """
-    from scipy.ndimage import gaussian_filter
-    from scipy.spatial import KDTree
-
     if len(points) < 3:
         return estimate(points)
-    tree = KDTree(points, leafsize=16, compact_nodes=False, balanced_tree=False)
-    index = np.asarray(tree.query(points, k=min(neighbours, len(points)))[1], np.int64)
+    _, index = nearest(points, points, min(neighbours, len(points)))
     spread = points[index] - points[:, None]
     spread -= spread.mean(axis=1, keepdims=True)
     normals = smallest_eigenvectors(spread.transpose(0, 2, 1) @ spread)
@@ -51,15 +47,33 @@ def outward(points: Floats, neighbours: int = 8, cell: float = 0.05) -> Floats:
     place = np.clip((points - low) / cell, 0, MAX_CELLS).astype(np.int64)
     shape = place.max(axis=0) + 1
     flat = np.asarray((place[:, 0] * shape[1] + place[:, 1]) * shape[2] + place[:, 2])
-    sums = [np.bincount(flat, weight, int(shape.prod())) for weight in (None, *(points - low).T)]
-    wide = [gaussian_filter(s.reshape(shape).astype(np.float32), 1.5, mode="constant", truncate=2.0) for s in sums]
-    count, *moments = (np.asarray(w, np.float64).ravel()[flat] for w in wide)
+    weights = (np.ones(len(flat)), *(points - low).T)
+    sums = np.stack([np.bincount(flat, weight, int(shape.prod())) for weight in weights]).astype(np.float64)
+    wide = _blurred(sums.reshape(-1, *shape))
+    count, *moments = wide.reshape(len(sums), -1)[:, flat]
     vote = np.sum((points - low - np.stack(moments, 1) / count[:, None]) * normals, axis=1)
     similarity = np.einsum("nki,ni->nk", normals[index], normals)
     similarity *= np.abs(similarity) / len(index[0])
     for _ in range(VOTING_ROUNDS):
         vote = np.einsum("nk,nk->n", similarity, vote[index])
     return np.where(vote[:, None] < 0, -normals, normals)
+
+
+def _blurred(values: Floats) -> Floats:
+    """(…, x, y, z): grids of values convolved with a Gaussian of BLUR cells, cut off at 2 standard deviations; 0 beyond
+    the edges.
+    """
+    reach = round(2 * BLUR)
+    kernel = np.exp(-0.5 * (np.arange(-reach, reach + 1) / BLUR) ** 2)
+    kernel /= kernel.sum()
+    for axis in (-3, -2, -1):
+        lines = np.moveaxis(values, axis, 0)
+        result = kernel[reach] * lines
+        for shift in range(1, min(reach, len(lines) - 1) + 1):
+            result[shift:] += kernel[reach + shift] * lines[:-shift]
+            result[:-shift] += kernel[reach + shift] * lines[shift:]
+        values = np.moveaxis(result, 0, axis)
+    return values
 
 
 def smallest_eigenvectors(covariance: Floats) -> Floats:
@@ -81,8 +95,6 @@ def smallest_eigenvectors(covariance: Floats) -> Floats:
 
 def spacing(points: Floats) -> float:
     """The median distance of one of points (n, 3) from its nearest neighbour, metres."""
-    from scipy.spatial import KDTree
-
     if len(points) < 2:
         return 0.0
-    return float(np.median(KDTree(points).query(points, k=2)[0][:, 1]))
+    return float(np.median(nearest(points, points, 2)[0][:, 1]))

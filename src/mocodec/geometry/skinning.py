@@ -11,6 +11,7 @@ from typing import Any
 
 import numpy as np
 
+from .. import native
 from ..typing import AnyInteger, Floats
 from .articulation import Body
 
@@ -43,6 +44,8 @@ class Skin:
 
     def unposed(self, a: Floats, b: Floats, rows: AnyInteger, places: Floats) -> Floats:
         """(n, 3): places (n, 3) of the world in the canonical pose, by the inverse transforms of the points `rows`."""
+        if (kernel := native.kernel("unposed_places")) is not None:
+            return np.asarray(kernel(a, b, self.links[rows], self.weights[rows], places))
         blend = self.blend(a, b, rows)
         return np.asarray(np.linalg.solve(blend[:, :, :3], (places - blend[:, :, 3])[..., None])[..., 0], np.float64)
 

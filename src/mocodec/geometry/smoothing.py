@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from ..typing import Floats
+from . import neighbours
 from .normals import smallest_eigenvectors
 
 NEIGHBOURS = 24
@@ -21,11 +22,9 @@ def project_to_surface(points: Floats, among: Floats) -> Floats:
     A quadric, because a plane would flatten round surfaces. Robust, so that the other side of a thin limb has little
     influence. Fewer than 24 points in `among` leave the points as they are.
     """
-    from scipy.spatial import KDTree
-
     if len(among) < NEIGHBOURS:
         return points
-    distance, rows = KDTree(among, leafsize=16, compact_nodes=False, balanced_tree=False).query(points, k=NEIGHBOURS)
+    distance, rows = neighbours.nearest(points, among, NEIGHBOURS)
     offset = among[rows] - points[:, None]
     spread = offset - offset.mean(axis=1, keepdims=True)
     normal = smallest_eigenvectors(spread.transpose(0, 2, 1) @ spread)

@@ -1,7 +1,7 @@
 """Whether the bodies that were found are worth their bytes, for points that are coded from their surface.
 
-first frames of a chunk ─► bytes with bodies, alone ─► bytes of the recording ─ clear ─► yes or no
-                                                              └─ close ─► longer runs at both ends of the chunk
+first frame of a chunk ─► bytes with bodies, alone ─► bytes of the recording ─ clear ─► yes or no
+                                                             └─ close ─► more frames: two, then runs at both ends
 """
 
 from __future__ import annotations
@@ -17,9 +17,11 @@ from .point_encoder import PointEncoder, PointTarget
 from .point_scene import ChunkBodies
 from .pose_stream import PoseSequence
 
-FIRST_FRAMES = 2
 RUN_FRAMES = 4  # of each longer run: references have most of their effect in its second half
-CLEAR_SHARE = 0.05  # difference in bytes that decides after the first frames: references change it by less later
+CLEAR_SHARES = {1: 0.08, 2: 0.05}
+"""Frames that are coded first, and the difference in bytes that decides after them: references to earlier frames, which
+the first frame has none of, change it by less later.
+"""
 
 
 def absences(bodies: Sequence[BodyEncoder], span: slice) -> Booleans:
@@ -46,13 +48,15 @@ def bodies_pay(
     trial = _Trial(bodies, frames, with_bodies[0], coloured)
     filled = sum(any(present) for present in zip(*(body.is_present for body in bodies), strict=True))
     once = sum(len(body.packed_model) for body in bodies) + filled * trial.pose_bytes
-    share = 0.0
-    for runs in (trial.present[:FIRST_FRAMES],), _both_ends(trial.present):
+
+    def share(*runs: Integers) -> float:
         beside, alone = (_recording_bytes(own, len(with_bodies), filled) for own in trial.frame_bytes(runs, target))
-        share = (once + beside) / alone
-        if abs(share - 1) > CLEAR_SHARE:
-            break
-    return share <= 1
+        return (once + beside) / alone
+
+    for frames_coded, clear in CLEAR_SHARES.items():
+        if abs((first := share(trial.present[:frames_coded])) - 1) > clear:
+            return first <= 1
+    return share(*_both_ends(trial.present)) <= 1
 
 
 def bytes_alone(frames: Sequence[Cloud], spans: Sequence[slice], coloured: bool, target: PointTarget) -> int:

@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 
 from ...errors import BadInput, CannotEncode
+from ...geometry import neighbours
 from ...typing import AnyInteger, Floats
 from ..clouds.raw_frames import Cloud
 from ..clouds.tracked_motion import skeleton_motion
@@ -16,26 +17,19 @@ from .tracking import MIN_BODY_POINTS, PersonTracker
 MIN_FIRST_POINTS = 4 * MIN_BODY_POINTS  # of a person in the first frame
 MIN_GAP_M = 0.12  # between two people in the first frame
 MIN_SHARE, MIN_HEIGHT_SHARE = 0.25, 0.5  # of the largest group's points and height, that a person has
+CONNECTED_CELLS = 6  # squared distance up to which cells of half a gap are connected: 2.5 cells
 CELL_STRIDES = np.array([1 << 42, 1 << 21, 1])  # to number cells: no frame has 2^21 of them along an axis
 MAX_BODY_DISTANCE_M = 0.4  # from the nearest body, beyond which a point is an outlier
 
 
 def segment_people(points: Floats, up: str, limit: int) -> list[AnyInteger]:
     """The rows of each person in points (n, 3), most points first; all rows as one if there is one person."""
-    from scipy.sparse import coo_array
-    from scipy.sparse.csgraph import connected_components
-    from scipy.spatial import KDTree
-
     if limit < 2:
         return [np.arange(len(points))]
     cells = np.floor(points / (MIN_GAP_M / 2)).astype(np.int64)
     key = (cells - cells.min(axis=0)) @ CELL_STRIDES
     _, first, cell_of = np.unique(key, return_index=True, return_inverse=True)
-    cell = cells[first]
-    pairs = KDTree(cell).query_pairs(MIN_GAP_M / (MIN_GAP_M / 2) + 0.5, output_type="ndarray")
-    ones = np.ones(len(pairs), bool)
-    _, label = connected_components(coo_array((ones, tuple(pairs.T)), shape=(len(cell),) * 2), directed=False)
-    group = np.asarray(label)[cell_of.reshape(-1)]
+    group = neighbours.groups(cells[first], CONNECTED_CELLS)[cell_of.reshape(-1)]
     size = np.bincount(group)
     largest = int(size.argmax())
     vertical = points[:, "xyz".index(up)]

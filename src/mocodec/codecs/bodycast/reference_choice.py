@@ -67,13 +67,16 @@ class ReferenceChoice:
     def _moved(
         self, earlier: EarlierFrames, cells: Integers, depth: int, has_bodies: bool, hides: bool, frames: Sequence[int]
     ) -> list[Reference]:
-        """A reference to each of these numbers of frames, with their motion; none if there are too few points."""
+        """A reference to each of these numbers of frames that means other frames than the number before, with their
+        motion; none if there are too few points. frames: rising.
+        """
         before = earlier.references(1, depth, has_bodies) if len(cells) >= LEAST_POINTS else None
         if before is None:
             return []
         places, normals = before.samples.places / (1 << SUBUNIT_BITS), before.samples.normals / (1 << NORMAL_BITS)
         motion = estimated_motion(places, normals, cells, self._last.motion)
-        return [Reference(count, motion, hides) for count in frames]
+        distinct = [count for before, count in zip((0, *frames), frames, strict=False) if before < len(earlier)]
+        return [Reference(count, motion, hides) for count in distinct]
 
     def keep_best(self, candidates: Sequence[Reference], sizes: Sequence[int], has_bodies: bool) -> int:
         """Which of the candidates (n,) is kept for a frame; sizes (n,): its bytes with each."""

@@ -84,16 +84,23 @@ class EarlierFrames:
 
     def __init__(self) -> None:
         self._frames = list[_KeptFrame]()  # the latest first
+        self._found = dict[tuple[int, int, bool], ReferencePoints | None]()
+
+    def __len__(self) -> int:
+        return len(self._frames)
 
     def move(self, motion: Sequence[int]) -> None:
         """Move all points on by a step, lattice units."""
         if not any(motion):
             return
+        self._found.clear()
         for frame in self._frames:
             frame.cells = frame.cells + np.asarray(motion, np.int64)
 
     def moved(self, motion: Sequence[int]) -> EarlierFrames:
-        """A copy whose points moved."""
+        """A copy whose points moved; itself without motion."""
+        if not any(motion):
+            return self
         result = EarlierFrames()
         result._frames = [_KeptFrame(f.cells, f.is_explained) for f in self._frames]
         result.move(motion)
@@ -104,6 +111,13 @@ class EarlierFrames:
 
         Of equal points that of the latest frame counts. has_bodies: whether those that a body explains are left out.
         """
+        key = frames, depth, has_bodies
+        if key not in self._found:
+            self._found[key] = self._references(*key)
+        return self._found[key]
+
+    def _references(self, frames: int, depth: int, has_bodies: bool) -> ReferencePoints | None:
+        """As `references`."""
         parts = [self._usable(frame, depth, has_bodies) for frame in self._frames[:frames]]
         if sum(map(len, parts)) < LEAST_POINTS:
             return None
@@ -125,6 +139,7 @@ class EarlierFrames:
 
     def add(self, cells: Integers, is_explained: Booleans) -> None:
         """Keep the points of a frame."""
+        self._found.clear()
         self._frames = [_KeptFrame(cells, is_explained), *self._frames[: MAX_FRAMES - 1]]
 
 
