@@ -39,26 +39,28 @@ struct Cubes {
     std::vector<std::array<int32_t, 6>> neighbours{{1, 1, 1, 1, 1, 1}};
     std::vector<uint8_t> known{0, 0};
     std::vector<int32_t> nearest{NOWHERE};
+    std::vector<int32_t> first;  // of each cube of the level above, the first child
 
     size_t size() const { return codes.size(); }
 
-    // The cubes of the next level.
-    Cubes next() const {
-        const int32_t end = int32_t(occupied_octants(known));
-        std::vector<int32_t> first(size() + 1, 0);
-        for (size_t i = 0; i < size(); ++i) first[i + 1] = first[i] + bits_of(known[i]);
-        Cubes below;
-        below.codes.resize(size_t(end));
-        below.places.resize(size_t(end));
-        below.neighbours.resize(size_t(end));
-        below.nearest.resize(size_t(end));
-        below.known.assign(size_t(end) + 1, 0);
+    // The cubes of the next level, in the memory of other cubes. is_last: there is none after it, so only codes and samples are needed.
+    void find_next(Cubes &below, bool is_last) const {
+        const size_t count = occupied_octants(known);
+        const int32_t end = int32_t(count);
+        below.first.resize(size() + 1);
+        for (size_t i = 0, row = 0; i < size(); row += size_t(bits_of(known[i])), ++i) below.first[i] = int32_t(row);
+        below.codes.resize(count);
+        below.nearest.resize(count);
+        below.places.resize(is_last ? 0 : count);
+        below.neighbours.resize(is_last ? 0 : count);
+        below.known.assign(count + 1, 0);
         size_t row = 0;
         for (size_t i = 0; i < size(); ++i)
-            for (int octant = 0; octant < 8; ++octant) {
-                if (!(known[i] >> octant & 1)) continue;
+            for (unsigned left = known[i]; left; left &= left - 1, ++row) {
+                const int octant = lowest_bit(left);
                 below.codes[row] = codes[i] << 3 | uint64_t(octant);
                 below.nearest[row] = nearest[i];
+                if (is_last) continue;
                 for (int axis = 0; axis < 3; ++axis) {
                     const int bit = octant >> axis & 1, other = octant ^ 1 << axis;
                     below.places[row][size_t(axis)] = 2 * places[i][size_t(axis)] + bit;
@@ -66,12 +68,10 @@ struct Cubes {
                         const size_t parent = bit != side ? i : size_t(neighbours[i][size_t(2 * axis + side)]);
                         const unsigned mask = known[parent];
                         below.neighbours[row][size_t(2 * axis + side)] =
-                            mask >> other & 1 ? first[parent] + bits_of(mask & ((1u << other) - 1)) : end;
+                            mask >> other & 1 ? below.first[parent] + bits_of(mask & ((1u << other) - 1)) : end;
                     }
                 }
-                ++row;
             }
-        return below;
     }
 };
 
@@ -96,7 +96,6 @@ public:
           far_(cubes.size(), 0), shown_by_(cubes.size(), NOWHERE), samples_(cubes.size()) {
         int64_t known = 0, sum = 0;
         for (size_t i = 0; i < cubes.size(); ++i) {
-            samples_[i].fill(0);
             if (cubes.nearest[i] < 0) continue;
             far_[i] = std::clamp(surface.distance(centre(i), cubes.nearest[i]), -LARGEST_DISTANCE, LARGEST_DISTANCE);
             ++known;
@@ -369,7 +368,8 @@ public:
                 failed_cubes = count;
                 return false;
             }
-            cubes_ = cubes_.next();
+            cubes_.find_next(below_, level == depth_ - 1);
+            std::swap(cubes_, below_);
         }
         return true;
     }
@@ -536,7 +536,7 @@ private:
     const Surface *surface_;
     const int32_t *bell_;
     std::optional<NearCubes> near_;
-    Cubes cubes_;
+    Cubes cubes_, below_;  // of a level, and of the next one while it is made
 };
 
 }  // namespace
