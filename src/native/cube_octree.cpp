@@ -412,7 +412,7 @@ private:
         for (size_t first = 0; first < cubes_.size(); first += BATCH) {
             const size_t count = std::min(BATCH, cubes_.size() - first);
             for (size_t k = 0; k < count; ++k) {
-                cubes_.known[first + k] = occupied[first + k];
+                cubes_.known[first + k] = possible<COUNT>(occupied[first + k]);
                 if (!has_surface(passage, first + k)) continue;
                 surfaces[k] = passage->find_surface(first + k);
                 passage->learn(first + k);
@@ -420,7 +420,7 @@ private:
             for (size_t k = 0; k < count; ++k) find_contexts<COUNT>(first + k, level, passage, surfaces[k], contexts[k]);
             Bit *end = bits;
             for (size_t k = 0; k < count; ++k) {
-                const unsigned all = occupied[first + k];
+                const unsigned all = cubes_.known[first + k];
                 unsigned known = 0;
                 for (int place = 0; place < COUNT && !is_certain<COUNT>(place, known); ++place) {
                     const unsigned octant = 1u << octant_of<COUNT>(place);
@@ -470,6 +470,13 @@ private:
     template <int COUNT>
     static int octant_of(int place) {
         return COUNT == 8 ? place : place * LATTICE_STEP;
+    }
+
+    // The octants of these that can be occupied, at least one.
+    template <int COUNT>
+    static uint8_t possible(unsigned octants) {
+        const unsigned left = COUNT == 8 ? octants : octants & (1u | 1u << LATTICE_STEP);
+        return uint8_t(left ? left : 1u << LATTICE_STEP);
     }
 
     // Whether the octant at this place is occupied since no other is.
