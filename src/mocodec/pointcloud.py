@@ -10,6 +10,7 @@ from importlib import import_module
 from typing import Any, cast
 
 from .errors import BadInput
+from .motion import UP_AXES
 from .selection import Frames, counted, frame_steps
 from .typing import Bytes, Floats
 
@@ -38,6 +39,8 @@ class PointClouds:
     def __post_init__(self) -> None:
         if not (math.isfinite(self.rate) and self.rate > 0):
             raise BadInput(f"the frame rate must be positive, not {self.rate}")
+        if self.up not in UP_AXES:
+            raise BadInput(f"up must be one of {', '.join(UP_AXES)}, not {self.up!r}")
         for what, arrays in (("positions", self.positions), ("colours", self.colours), ("normals", self.normals)):
             if arrays is None:
                 continue

@@ -2,6 +2,7 @@
 // integer_surface.py, which define the results. Float operations have NumPy's order.
 
 #include <algorithm>
+#include <array>
 #include <cmath>
 #include <limits>
 
@@ -112,14 +113,34 @@ Output<int64_t> cells_of_codes(Input<int64_t, 1> codes) {
     return cells.give({n, 3});
 }
 
-// (codes, rows): the sorted distinct codes of cells (n, 3), with coordinates 0 … 2^20 − 1, and which of them is that of each.
-nb::tuple distinct_codes(Numbers cells) {
+// (2, 3): the least and the largest coordinates of cells (n, 3), n > 0.
+Output<int64_t> box_of_cells(Numbers cells) {
     const size_t n = cells.shape(0);
-    require(cells.shape(1) == 3 && n <= std::numeric_limits<uint32_t>::max());
+    require(cells.shape(1) == 3 && n > 0);
+    std::array<int64_t, 3> low, high;
+    std::copy_n(cells.data(), 3, low.begin());
+    high = low;
+    for (size_t i = 1; i < n; ++i)
+        for (size_t d = 0; d < 3; ++d) {
+            const int64_t v = cells.data()[3 * i + d];
+            low[d] = std::min(low[d], v), high[d] = std::max(high[d], v);
+        }
+    Fresh<int64_t> box(6);
+    std::copy(low.begin(), low.end(), box.data.get());
+    std::copy(high.begin(), high.end(), box.data.get() + 3);
+    return box.give({2, 3});
+}
+
+// (codes, rows): the sorted distinct codes of cells (n, 3) from a corner (3), with coordinates 0 … 2^20 − 1 from there, and
+// which of them is that of each.
+nb::tuple distinct_codes(Numbers cells, Input<int64_t, 1> corner) {
+    const size_t n = cells.shape(0);
+    require(cells.shape(1) == 3 && corner.shape(0) == 3 && n <= std::numeric_limits<uint32_t>::max());
+    const int64_t *from = corner.data();
     std::vector<KeyOfRow> sorted(n);
     for (size_t i = 0; i < n; ++i) {
         const int64_t *cell = cells.data() + 3 * i;
-        sorted[i] = {point_octree::morton_code(cell[0], cell[1], cell[2]), uint32_t(i)};
+        sorted[i] = {point_octree::morton_code(cell[0] - from[0], cell[1] - from[1], cell[2] - from[2]), uint32_t(i)};
     }
     sort_keys(sorted);
     Fresh<int64_t> codes(n), rows(n);
@@ -177,6 +198,7 @@ void bind_lattice_frames(nb::module_ &m) {
     m.def("places_of_cells", &places_of_cells);
     m.def("morton_codes", &morton_codes);
     m.def("cells_of_codes", &cells_of_codes);
+    m.def("box_of_cells", &box_of_cells);
     m.def("distinct_codes", &distinct_codes);
     m.def("mean_colours", &mean_colours);
     m.def("median_gap", &median_gap);

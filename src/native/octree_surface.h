@@ -242,11 +242,22 @@ public:
         }
         const bool searches = 2 * size > spacing_;
         const Cells cells = searches ? cells_of_level(level) : Cells{KeyTable(0), {}, {}};
-        for (size_t i = 0; i < places.size(); ++i) {
+        const Attached &known = attached_[size_t(level)];
+        for (size_t i = 0, at = 0; i < places.size(); ++i) {
+            while (at < known.places.size() && is_before(known.places[at], places[i])) ++at;
+            if (at < known.places.size() && known.places[at] == places[i]) {
+                nearest[i] = known.nearest[at];
+                continue;
+            }
             const Place centre = centre_of(places[i], size);
             nearest[i] = descend(centre, nearest[i]);
             if (searches) nearest[i] = nearest_around(places[i], centre, size, cells, nearest[i]);
         }
+    }
+
+    // Keeps what `attach` found for cubes of a level, in Morton order, for the same cubes in another octree of the frame.
+    void keep_attached(const std::vector<std::array<int32_t, 3>> &places, int level, const std::vector<int32_t> &nearest) {
+        attached_[size_t(level)] = {places, nearest};
     }
 
     // The centre of a cube, minus half a unit: lattice points lie at the corners of unit cubes.
@@ -301,6 +312,23 @@ public:
     }
 
 private:
+    // The cubes of a level, in Morton order, with the sample near each.
+    struct Attached {
+        std::vector<std::array<int32_t, 3>> places;
+        std::vector<int32_t> nearest;
+    };
+
+    // Whether cube a is before cube b in Morton order: by the coordinate whose highest differing bit is the highest.
+    static bool is_before(const std::array<int32_t, 3> &a, const std::array<int32_t, 3> &b) {
+        size_t axis = 2;
+        uint32_t differing = uint32_t(a[2] ^ b[2]);
+        for (const size_t other : {size_t(1), size_t(0)}) {
+            const uint32_t own = uint32_t(a[other] ^ b[other]);
+            if (differing < own && differing < (differing ^ own)) axis = other, differing = own;
+        }
+        return a[axis] < b[axis];
+    }
+
     // Sorts samples within the octree by unit cell, then by row; others follow. So a cell of any level is a run.
     void sort_by_cell(const int64_t *points, size_t m) {
         const int64_t end = int64_t(1) << (SUBUNIT_BITS + depth_);
@@ -508,6 +536,7 @@ private:
     std::vector<Place> points_, normals_;
     std::vector<int32_t> neighbours_;
     NearNeighbours near_;
+    std::array<Attached, 21> attached_;  // by level, as kept
     std::vector<uint64_t> codes_;        // unit cells of the samples within the octree, which come first
     std::vector<int32_t> given_rows_, own_rows_;  // input row of a stored sample, and the reverse
 };

@@ -86,16 +86,20 @@ private:
         }
         if (least >= OUTSIDE) throw std::invalid_argument("PointChoice: a point outside the octree");
         const int32_t most = std::max(most_, least);
-        for (const auto &[x, y, z] : axes)
-            for (size_t c = 0; c < 2; ++c)
-                for (size_t b = 0; z.squares[c] <= most && b < 2; ++b)
-                    for (size_t a = 0; y.squares[b] + z.squares[c] <= most && a < 2; ++a) {
-                        const int32_t square = x.squares[a] + y.squares[b] + z.squares[c];
-                        if (square > most) continue;
-                        places.push_back({x.at[a], y.at[b], z.at[c]});
-                        squares.push_back(square);
-                        point.push_back(number);
-                    }
+        for (const auto &[x, y, z] : axes) {
+            std::array<int32_t, 8> sums;
+            unsigned within = 0;
+            for (unsigned k = 0; k < 8; ++k) {
+                sums[k] = x.squares[k & 1] + y.squares[k >> 1 & 1] + z.squares[k >> 2];
+                within |= unsigned(sums[k] <= most) << k;
+            }
+            for (; within; within &= within - 1) {
+                const unsigned k = unsigned(lowest_bit(within));
+                places.push_back({x.at[k & 1], y.at[k >> 1 & 1], z.at[k >> 2]});
+                squares.push_back(sums[k]);
+                point.push_back(number);
+            }
+        }
     }
 
     void group() {
@@ -318,7 +322,7 @@ public:
     // originals (n, 3): metres. step: of the lattice; corner (3): of the octree, in that unit. codes: sorted distinct lattice
     // points; rows (n): which of them is nearest to each point. reach: of points, 2^-FINE_BITS units; near: the largest
     // distance of a lattice point from its sample, subunits.
-    PointChoice(const Surface &surface, Input<double, 2> originals, double step, Input<int64_t, 1> corner, Input<uint64_t, 1> codes,
+    PointChoice(Surface &surface, Input<double, 2> originals, double step, Input<int64_t, 1> corner, Input<uint64_t, 1> codes,
                 Input<int64_t, 1> rows, int64_t reach, int64_t near)
         : surface_(surface), reach_(reach), points_(fine_places(originals, step, corner)),
           of_(without_interpreter([&] { return Candidates(points_, require_reach(reach), surface.depth()); })),
@@ -483,11 +487,11 @@ private:
             if (sample < 0) continue;
             const Cell &cell = of_.places[size_t(candidate)];
             const int64_t apart = distance(int64_t(cell[0]) * UNIT, int64_t(cell[1]) * UNIT, int64_t(cell[2]) * UNIT, sample);
-            classes_[c] = uint8_t(std::min<int64_t>(std::abs(apart - offsets[size_t(sample)]) / width_, CLASSES - 1));
+            classes_[c] = uint8_t(std::min<int64_t>(floor_quotient(std::abs(apart - offsets[size_t(sample)]), width_), CLASSES - 1));
         }
     }
 
-    const Surface &surface_;
+    Surface &surface_;
     const int64_t reach_;
     const std::vector<Cell> points_;
     const Candidates of_;
@@ -501,7 +505,7 @@ private:
 
 void bind_point_choice(nb::module_ &m) {
     nb::class_<PointChoice>(m, "PointChoice")
-        .def(nb::init<const Surface &, Input<double, 2>, double, Input<int64_t, 1>, Input<uint64_t, 1>, Input<int64_t, 1>, int64_t,
+        .def(nb::init<Surface &, Input<double, 2>, double, Input<int64_t, 1>, Input<uint64_t, 1>, Input<int64_t, 1>, int64_t,
                       int64_t>(),
              nb::keep_alive<1, 2>())
         .def_prop_ro("width", &PointChoice::width)

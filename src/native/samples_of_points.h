@@ -14,8 +14,9 @@ inline std::array<int32_t, 3> place_of_code(uint64_t code) {
     return {int32_t(gathered_bits(code)), int32_t(gathered_bits(code >> 1)), int32_t(gathered_bits(code >> 2))};
 }
 
-// The sample near each of sorted distinct codes, NOWHERE without one. Coarse levels of the octree have no samples.
-inline std::vector<int32_t> samples_of_points(const Surface &surface, const uint64_t *points, size_t count) {
+// The sample near each of sorted distinct codes, NOWHERE without one; the surface keeps those near the cubes above. Coarse
+// levels of the octree have no samples.
+inline std::vector<int32_t> samples_of_points(Surface &surface, const uint64_t *points, size_t count) {
     const int depth = surface.depth();
     std::vector<std::array<int32_t, 3>> cells(count), places;
     for (size_t i = 0; i < count; ++i) {
@@ -41,6 +42,7 @@ inline std::vector<int32_t> samples_of_points(const Surface &surface, const uint
             row[i] = int32_t(places.size()) - 1;
         }
         surface.attach(places, level, from);
+        surface.keep_attached(places, level, from);
         nearest.swap(from);
     }
     for (int32_t &own : row) own = nearest[size_t(own)];

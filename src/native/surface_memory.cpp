@@ -52,29 +52,33 @@ nb::tuple posed_surface(Numbers points, Numbers normals, Numbers links, Rows sha
     for (size_t i = 0; i < m; ++i) {
         const int64_t *pair = links.data() + 2 * i, share = shares.data()[i];
         for (size_t d = 0; d < 3; ++d) {
+            directions.data[3 * i + d] = turned(pair[0], normals.data() + 3 * i, d);
             const int64_t first = turned(pair[0], points.data() + 3 * i, d) + moves.data()[3 * size_t(pair[0]) + d];
+            places.data[3 * i + d] = first;
+            if (pair[0] == pair[1]) continue;
             const int64_t second = turned(pair[1], points.data() + 3 * i, d) + moves.data()[3 * size_t(pair[1]) + d];
             places.data[3 * i + d] = second + (int64_t(product(first - second, share)) >> SHARE_BITS);
-            directions.data[3 * i + d] = turned(pair[0], normals.data() + 3 * i, d);
         }
     }
     return nb::make_tuple(places.give({m, 3}), directions.give({m, 3}));
 }
 
-// SampleTable.canonical. Table: canonical (t, 3). Frame: rows (m), places (m, 3),
-// turns (m, 3, 3), points (n, 3), samples (n).
-Output<int64_t> canonical_places(Numbers canonical, Rows rows, Numbers places, Turns turns, Numbers points, Rows samples) {
+// SampleTable.canonical. Table: canonical (t, 3). Frame: rows (m), places (m, 3), links (m), turns (links, 3, 3), points (n, 3),
+// samples (n).
+Output<int64_t> canonical_places(Numbers canonical, Rows rows, Numbers places, Rows links, Turns turns, Numbers points,
+                                 Rows samples) {
     const size_t m = rows.shape(0), n = samples.shape(0);
     require_shape(canonical, canonical.shape(0));
     require_shape(places, m);
     require_shape(points, n);
-    require(turns.shape(0) == m && turns.shape(1) == 3 && turns.shape(2) == 3);
+    require(links.shape(0) == m && turns.shape(1) == 3 && turns.shape(2) == 3);
     require_rows(rows.data(), m, canonical.shape(0));
+    require_rows(links.data(), m, turns.shape(0));
     require_rows(samples.data(), n, m);
     Fresh<int64_t> out(3 * n);
     for (size_t i = 0; i < n; ++i) {
         const size_t sample = size_t(samples.data()[i]);
-        const int64_t *turn = turns.data() + 9 * sample, *origin = canonical.data() + 3 * size_t(rows.data()[sample]);
+        const int64_t *turn = turns.data() + 9 * size_t(links.data()[sample]), *origin = canonical.data() + 3 * size_t(rows.data()[sample]);
         int64_t apart[3];
         for (size_t d = 0; d < 3; ++d) apart[d] = points.data()[3 * i + d] - places.data()[3 * sample + d];
         for (size_t d = 0; d < 3; ++d) {

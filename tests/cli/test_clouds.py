@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import re
+import shutil
 from dataclasses import replace
 
 import pytest
@@ -27,6 +28,37 @@ def folder(tmp_path_factory):
 
 def run(*arguments: object, code: int = 0) -> None:
     assert cli.run([str(a) for a in arguments]) == code
+
+
+def test_the_output_of_a_folder_stands_beside_it(folder, tmp_path, capsys):
+    shutil.copytree(folder / "frames", tmp_path / "dancer.v2")
+    run("encode", f"{tmp_path}/dancer.v2/")
+    assert (tmp_path / "dancer.v2.mocz").exists()
+    run("decode", tmp_path / "dancer.v2.mocz", "-o", tmp_path / "back")
+    run("decode", tmp_path / "dancer.v2.mocz", "-o", tmp_path / "back", code=3)
+    assert "already has 4 .ply files" in capsys.readouterr().err
+
+
+def test_a_target_of_colours_that_are_not_there_is_refused(folder, tmp_path, capsys):
+    clouds = mc.read(folder / "frames", mc.PointClouds)
+    mc.write(tmp_path / "grey", replace(clouds, colours=None))
+    run("encode", tmp_path / "grey", "--psnr", "40dB", code=3)
+    assert "these points have none" in capsys.readouterr().err
+
+
+def test_depth_images_without_intrinsics_are_named(tmp_path, capsys):
+    (tmp_path / "depth").mkdir()
+    (tmp_path / "depth" / "0.png").write_bytes(b"")
+    for where, what in ((tmp_path, "a camera.json with fx"), (tmp_path / "depth", "name that folder")):
+        run("encode", where, code=2)
+        assert what in capsys.readouterr().err
+
+
+def test_a_rate_of_point_clouds_is_none_of_motions_beside_them(folder, tmp_path):
+    shutil.copytree(folder, tmp_path / "both")
+    run("encode", tmp_path / "both", "-o", tmp_path / "out", "--fps", 20, "--max-error", "20mm")
+    rates = [mc.read(tmp_path / "out" / f"{name}.mocz").rate for name in ("first", "frames")]
+    assert rates == [15, 20]
 
 
 @pytest.mark.parametrize("codec", ["lien2006", "bodycast"])
@@ -105,7 +137,7 @@ def test_broken_promises_of_clouds_are_named(folder, tmp_path, capsys):
 def test_a_promise_that_cannot_be_kept_writes_nothing(folder, tmp_path, capsys):
     stored, first = tmp_path / "x.mocz", folder / "first.bvh"
     run("encode", folder / "frames", "-o", stored, "--fps", 15, "--skeleton", first, "--size", "300", code=3)
-    assert "larger file" in capsys.readouterr().err
+    assert "points within 40 mm take about" in capsys.readouterr().err
     assert not stored.exists()
     run("encode", folder / "frames", "-o", stored, "--psnr", "40mm", code=2)
 

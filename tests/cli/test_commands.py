@@ -25,6 +25,27 @@ def test_encode_and_decode(command: Command, walk_trc: Path, walk_mocz: Path) ->
     assert metrics.compare(a, b).max_error <= 0.0021
 
 
+def test_encode_without_an_output_writes_beside_the_source_and_replaces_nothing(
+    command: Command, walk_trc: Path
+) -> None:
+    Path("in").mkdir()
+    source = walk_trc.rename(Path("in") / "walk.1.trc")
+    assert command("encode", source, "--codec", "lossless").code == 0
+    stored = Path("in/walk.1.mocz").read_bytes()
+    again = command("encode", source, "--codec", LOSSY)
+    assert again.code == 2
+    assert "walk.1.mocz exists: name the output" in again.err
+    assert Path("in/walk.1.mocz").read_bytes() == stored
+    assert "name the output" in command("encode", "in/walk.1.mocz", "--codec", "lossless").err
+
+
+def test_an_output_in_no_folder_is_refused_before_the_work(command: Command, walk_trc: Path, walk_mocz: Path) -> None:
+    for arguments in (("encode", walk_trc, "-o", "no/x.mocz"), ("decode", walk_mocz, "-o", "no/x.trc")):
+        result = command(*arguments)
+        assert result.code == 3
+        assert "there is no folder" in result.err
+
+
 def test_encode_prints_a_summary_on_standard_error(command: Command, walk_trc: Path) -> None:
     result = command("encode", walk_trc, "-o", "x.mocz", "--codec", LOSSY, "--max-error", "0.2cm")
     assert result.out == ""

@@ -30,7 +30,9 @@ def test_help_has_a_heading_for_each_section(command: Command) -> None:
 @pytest.mark.parametrize(
     ("arguments", "says"),
     [
-        (("encode", "walk.bvh"), "name the output: -o OUT"),
+        (("decode", "walk.mocz"), "name the output: -o OUT"),
+        (("encode", "a.c3d", "b.c3d"), "name the folder for the .mocz files of these recordings: -o OUT"),
+        (("encode", "-"), "name the output: -o OUT"),
         (("--max-error", "2mm", "encode", "walk.bvh"), "no option --max-error before the name of a command"),
         (("archive", "--json", "list", "vault"), "no option --json before the name of a command"),
     ],

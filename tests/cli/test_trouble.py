@@ -33,7 +33,8 @@ def assert_one_line(result: Result, code: int) -> None:
     "arguments",
     [
         ["encode"],
-        ["encode", "walk.trc"],
+        ["encode", "-"],
+        ["decode", "walk.mocz"],
         ["nonsense"],
         ["encode", "walk.trc", "-o", "x.mocz", "--max-error", "2"],
         ["encode", "walk.trc", "-o", "x.mocz", "--max-error", "-2mm"],

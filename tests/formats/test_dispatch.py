@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from mocodec import BadInput, Signal, formats
+from mocodec import BadInput, PointClouds, Signal, formats
 from mocodec.testing import synthetic
 
 from .samples import SHARED, capture, markers, needs_shared
@@ -42,6 +42,18 @@ def test_a_file_that_is_not_there(tmp_path):
         formats.read(tmp_path / "gone.c3d")
     with pytest.raises(BadInput, match="there is no folder"):
         formats.write(tmp_path / "no" / "folder.c3d", markers())
+
+
+@pytest.mark.parametrize("suffix", [".bvh", ".glb", ".c3d", ".csv", ".amc"])
+def test_point_clouds_are_no_motion(tmp_path, suffix):
+    clouds = PointClouds([np.zeros((1, 3))], 5.0)
+    with pytest.raises(BadInput, match=f"{suffix} stores motions, not point clouds; name a folder"):
+        formats.write(tmp_path / f"x{suffix}", clouds)
+
+
+def test_a_motion_is_no_point_cloud(tmp_path):
+    with pytest.raises(BadInput, match="not motions"):
+        formats.write(tmp_path / "x.ply", markers()[:1])
 
 
 def test_an_option_of_another_format(tmp_path):

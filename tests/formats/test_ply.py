@@ -174,6 +174,45 @@ def test_an_empty_file_and_missing_numbers_are_named(tmp_path):
         ply.read(tmp_path)
 
 
+def test_numbers_of_files_without_a_usual_step_miss_nothing(tmp_path):
+    for i in range(6):
+        ply.write(tmp_path / f"f{i * i}.ply", PointClouds([np.full((1, 3), float(i))], 5.0))
+    assert "missing_numbers" not in ply.read(tmp_path).source
+
+
+def test_points_too_large_for_metres_are_noted_unless_the_unit_is_known(tmp_path):
+    ascii_file(tmp_path / "f1.ply", "0 0 0 1 2 3\n0 1800 0 1 2 3", kind="uchar")
+    assert any("1,800 m" in note and "--unit mm" in note for note in formats.notes(ply.read(tmp_path, fps=1)))
+    assert formats.notes(ply.read(tmp_path, fps=1, unit="mm")) == []
+
+
+def test_colours_that_only_later_frames_have_are_noted(tmp_path):
+    ply.write(tmp_path / "f1.ply", PointClouds([np.zeros((1, 3))], 5.0))
+    ascii_file(tmp_path / "f2.ply", "0 0 0 1 2 3\n0 1 0 1 2 3", kind="uchar")
+    assert any(
+        "colours of 1 frame are left out, since f1.ply has none" in note for note in formats.notes(ply.read(tmp_path))
+    )
+
+
+def test_a_comment_that_is_no_axis_is_no_vertical_axis(tmp_path):
+    ply.write(tmp_path / "f1.ply", PointClouds([np.zeros((1, 3))], 5.0, up="z"), encoding="ascii")
+    assert ply.read(tmp_path).up == "z"
+    (tmp_path / "f1.ply").write_text((tmp_path / "f1.ply").read_text().replace("up z", "up north"))
+    assert ply.read(tmp_path).up == "y"
+    with pytest.raises(BadInput, match="up must be one of x, y, z"):
+        PointClouds([np.zeros((1, 3))], 5.0, up="north")
+
+
+def test_names_of_properties_in_upper_case(tmp_path):
+    ascii_file(tmp_path / "f1.ply", "0 0 0 1 2 3\n1 1 1 4 5 6", kind="uchar")
+    header, rows = (tmp_path / "f1.ply").read_text().split("end_header")
+    (tmp_path / "f1.ply").write_text(header.replace(" x", " X").replace(" red", " Red") + "end_header" + rows)
+    clouds = ply.read(tmp_path, fps=1)
+    assert clouds.colours is not None
+    assert clouds.colours[0][1].tolist() == [4, 5, 6]
+    assert clouds.positions[0][1].tolist() == [1, 1, 1]
+
+
 def ascii_file(path, rows: str, count: str = "2", kind: str = "float") -> None:
     lines = ["ply", "format ascii 1.0", f"element vertex {count}", *(f"property float {axis}" for axis in "xyz")]
     lines += [f"property {kind} {colour}" for colour in ("red", "green", "blue")] + ["end_header", rows, ""]

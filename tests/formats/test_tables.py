@@ -55,6 +55,13 @@ def sto(labels: list[str], rows: int = 5, header: str = "inDegrees=yes\n", decla
         (["pelvis_X", "pelvis_Y", "pelvis_Z", "pelvis_Ox", "pelvis_Oy", "pelvis_Oz"], ["pelvis"]),
         (["A_x", "A_y"], []),
         (["A_z", "Fz", "A_x", "A_y"], ["A"]),
+        (["X_A", "Y_A", "Z_A", "X_B", "Y_B", "Z_B"], ["A", "B"]),
+        (["x.A", "y.A", "z.A"], ["A"]),
+        (["X:S:A", "Y:S:A", "Z:S:A"], ["S:A"]),
+        (["X_1", "Y_1", "Z_1", "X_2", "Y_2", "Z_2", "X_3", "Y_3", "Z_3"], ["1", "2", "3"]),
+        (["X_x", "X_y", "X_z", "Y_x", "Y_y", "Y_z", "Z_x", "Z_y", "Z_z"], ["X", "Y", "Z"]),
+        (["X_A", "Y_A"], []),
+        (["x_force", "y_force", "z_force"], []),
     ],
 )
 def test_columns_of_positions_are_found(labels, expected):

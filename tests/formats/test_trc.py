@@ -62,6 +62,20 @@ def test_columns_without_names_are_points(tmp_path):
     assert motion.gaps[:, 2].tolist() == [False, True]
 
 
+def test_columns_that_never_hold_a_point_are_left_out_and_noted(tmp_path):
+    rows = "".join(f"{i}\t{i / 60}" + "\t1\t2\t3" * 2 + "\t7\t8\n" for i in range(3))
+    motion = read(tmp_path, file(rows, frames=3))
+    assert motion.names == ("LASI", "RASI")
+    assert any("2 columns after those of the markers" in note for note in formats.notes(motion))
+
+
+@pytest.mark.parametrize("row", ["1\t2\t3\t4\t5\t6\t7", "1\t2\t2\t3\t4\t5\t6"])
+def test_a_row_with_a_cell_too_many_is_refused(tmp_path, row):
+    rows = "1\t0\t1\t2\t3\t4\t5\t6\n" + f"2\t.016\t{row}\n"
+    with pytest.raises(BadInput, match="row 2 of its numbers has 9 cells, its 2 markers have 8"):
+        read(tmp_path, file(rows))
+
+
 @pytest.mark.parametrize(
     ("text", "says"),
     [

@@ -49,7 +49,7 @@ def command(
     name = target if target is not None else str(other_target)
     if files.is_mocz(name) or (to_format or "").lower().lstrip(".") == files.SUFFIX[1:]:
         raise click.UsageError(f"convert does not compress; run `mocodec encode {source} -o {name}`")
-    files.refuse_source(source, name)
+    files.refuse_output(source, name)
     changes, writer_options = output.split(options)
     suffix = Path(f"x.{to_format.lstrip('.')}" if to_format else name).suffix.lower()
     with files.working(f"reading {source}"):

@@ -57,7 +57,7 @@ def command(source: str, begin: Time, end: Time | None, output: str, chunks: boo
     Otherwise the range is encoded again with half the promised error, and OUT promises the sum of both errors.
     From another format to .mocz, the range is encoded as by `mocodec encode` without a target.
     """
-    files.refuse_source(source, output)
+    files.refuse_output(source, output)
     compressed = files.holds_compressed(source, options["format_"])
     if chunks and not (compressed and files.is_mocz(output)):
         raise click.UsageError("--chunks works only from a .mocz file to a .mocz file")

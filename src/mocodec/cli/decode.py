@@ -67,6 +67,7 @@ def command(
         return many.run("decode", found, many.output_names(found, suffixes), output, work)
     source = sources[0]
     refuse_other_formats(source, output)
+    files.refuse_output(source, output)
     lost: list[str] = []
     changes, writer_options = output_options.split(options)
     more: dict[str, Any] = {}

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import os
 from collections.abc import Mapping, Sequence
 from functools import partial
 from pathlib import Path
@@ -28,9 +29,9 @@ cloud_option = partial(sections.option, section=sections.CLOUDS)
 @click.option(
     "-o",
     "--output",
-    required=True,
     metavar="OUT",
-    help='The .mocz file to write, or "-" for standard output; of many files, the folder to write to.',
+    help='The .mocz file to write, or "-" for standard output; of many files, the folder to write to. Default of one: '
+    "NAME.mocz beside it, if there is none yet.",
 )
 @target_option("--max-error", type=quantities.LENGTH, help="No point of any frame is farther off than this: 2mm.")
 @target_option(
@@ -98,7 +99,7 @@ cloud_option = partial(sections.option, section=sections.CLOUDS)
 @files.reader_options
 def command(
     sources: tuple[str, ...],
-    output: str,
+    output: str | None,
     codec: str | None,
     settings: tuple[str, ...],
     signal_error: str | None,
@@ -114,6 +115,8 @@ def command(
 ) -> int | None:
     """Compress the recording IN (.c3d .trc .bvh .amc .npz …, a folder of .ply, or "-") into a .mocz file.
 
+    `mocodec encode walk.c3d` writes walk.mocz beside it, and replaces no file; -o names another one.
+
     Without a target, no point of a motion is farther off than 5 mm (tempo). The file is decoded and measured before it
     is written; the summary on standard error shows the measured error.
 
@@ -128,6 +131,8 @@ def command(
     settings += tuple(f"{name}={value}" for name, value in own_options.items())
     chosen: dict[str, Any] = {"codec": codec, "settings": list(settings), "targets": targets, "bare": bare}
     chosen |= files.given(signal_error=signal_error, prior=prior)
+    if output is None:
+        output = beside(sources)
     if many.is_many(sources, output):
         found = many.find_readable("encode", sources, formats.FORMATS)
         refuse_file(output)
@@ -140,7 +145,7 @@ def command(
         files.refuse_terminal()
     if output != "-" and Path(output).suffix and not files.is_mocz(output):
         raise click.UsageError(f"{output}: encode writes .mocz files; `mocodec convert` converts between other formats")
-    files.refuse_source(source, output)
+    files.refuse_output(source, output)
     _, record = written(source, output, pieces, quiet, **chosen, **options)
     for text in record.pop("notes", ()):
         files.note(source, text)
@@ -151,6 +156,24 @@ def command(
     return None
 
 
+def beside(sources: Sequence[str]) -> str:
+    """The output of one recording where none is named: NAME.mocz beside it. Raises a usage error for other sources, and
+    where that file exists.
+    """
+    source = sources[0]
+    if many.is_many(sources):
+        many.find_readable("encode", sources, formats.FORMATS)
+        raise click.UsageError("name the folder for the .mocz files of these recordings: -o OUT")
+    if source == "-" or files.is_compressed(source) or any(mark in source for mark in "*?["):
+        raise click.UsageError("name the output: -o OUT")
+    where = Path(source)
+    name = Path(os.path.abspath(source)).name if where.is_dir() else where.stem
+    output = (Path(os.path.abspath(source)).parent if not where.name else where.parent) / f"{name}{files.SUFFIX}"
+    if os.path.lexists(output):
+        raise click.UsageError(f"{output} exists: name the output, -o OUT, which is replaced")
+    return str(output)
+
+
 def one(
     source: str, where: str, may_replace: bool = True, pieces: bool | None = None, **chosen: Any
 ) -> dict[str, Any]:  # fmt: skip
@@ -159,6 +182,8 @@ def one(
     pieces: as asked for by the user; of formats that cannot be read in pieces, a file is encoded at once.
     """
     Path(where).parent.mkdir(parents=True, exist_ok=True)
+    if not files.takes(source, None, "fps"):  # of motions beside point clouds
+        chosen.pop("fps", None)
     recording, record = written(source, where, pieces if formats.can_read_blocks(source) else None, True, **chosen)
     if recording is not None:
         kind = codec_with(chosen["codec"] or api.default_codec(recording), chosen["settings"], chosen["targets"])

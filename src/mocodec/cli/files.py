@@ -193,8 +193,13 @@ def require_suffix(path: str | None, what: str, suffixes: tuple[str, ...]) -> No
         raise click.UsageError(f"{path}: the suffix of {what} must be {choice}")
 
 
-def refuse_source(source: str, output: str) -> None:
-    """Raises a usage error if the output is the source, which a part or another form would replace."""
+def refuse_output(source: str, output: str) -> None:
+    """Raises a usage error if the output is the source, which a part or another form would replace; BadInput for a file
+    in a folder that does not exist: before the work, not after it.
+    """
+    parent = Path(os.path.realpath(output)).parent
+    if output != "-" and Path(output).suffix and not parent.is_dir():
+        raise BadInput(f"{output}: there is no folder {parent}")
     try:
         is_same = os.path.samefile(source, output)
     except OSError:  # one does not exist, or is "-" or a URL

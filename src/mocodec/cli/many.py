@@ -18,6 +18,7 @@ from typing import Any
 import click
 
 from .. import formats
+from ..formats import rgbd
 from ..formats.folders import below, mirrored_name
 from . import files, sections, summary
 from .display import Display
@@ -76,13 +77,14 @@ class Settings:
 
 
 def is_many(sources: Sequence[str], output: str | None = None) -> bool:
-    """Whether arguments mean many files: several, a folder that is not one recording, or an output that is a folder."""
+    """Whether arguments mean many files: several, a folder that is not one recording, or an output that is a folder
+    other than of the frames of a point cloud."""
     if len(sources) != 1:
         return True
     if sources[0] == "-" or files.is_url(sources[0]):
         return False
     if output is not None and output != "-" and not is_recording(sources[0]):
-        return Path(sources[0]).is_dir() or is_folder(output)
+        return Path(sources[0]).is_dir() or (is_folder(output) and not is_recording(output))
     return Path(sources[0]).is_dir() and not is_recording(sources[0])
 
 
@@ -129,9 +131,12 @@ def find_readable(command: str, arguments: Sequence[str], suffixes: Collection[s
             raise click.UsageError(f"{argument} is an archive: run `mocodec archive {do}`")
     found = find(arguments, suffixes)
     if not found:
-        names = [name for folder in arguments if Path(folder).is_dir() for name in os.listdir(folder)]
+        folders = [folder for folder in arguments if Path(folder).is_dir()]
+        names = [name for folder in folders for name in os.listdir(folder)]
         present = sorted({Path(name).suffix.lower() for name in names})
         hints = dict.fromkeys(f"; {suffix}: {formats.OTHERS[suffix]}" for suffix in present if suffix in formats.OTHERS)
+        if ".ply" in suffixes and (images := rgbd.hint(names)):
+            hints[f"; {images}"] = None
         where = f"{', '.join(arguments)}: there is no file that `mocodec {command}` reads"
         raise click.UsageError(where + "".join(hints))
     return found

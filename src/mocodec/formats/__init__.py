@@ -163,6 +163,13 @@ def write(path: str | PathLike[str], motion: Motion | PointClouds, **options: An
     path = Path(path)
     folder = isinstance(motion, PointClouds) and not path.suffix
     module = FORMATS[".ply"] if folder else _module(path, writes=True)
+    if isinstance(motion, PointClouds) and module not in {FORMATS[suffix] for suffix in CLOUDS}:
+        raise BadInput(
+            f"{path}: a {path.suffix.lower()} stores motions, not point clouds; name a folder for .ply files, or an "
+            ".npz. The motion of a body in them is in their .mocz: `mocodec encode`, then `mocodec decode`"
+        )
+    if isinstance(motion, Motion) and module == FORMATS[".ply"]:
+        raise BadInput(f"{path}: a .ply stores point clouds, not motions; an .npz has the positions as an array")
     if "unit" in options and "unit" not in _parameters(import_module(module).write):
         motion = _in_unit(path, motion, options.pop("unit"))
     _call(module, "write", path, motion, **options)

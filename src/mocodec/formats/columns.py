@@ -24,6 +24,8 @@ from .zeros import parked_at_origin, store_parked
 
 AXIS = re.compile(r"^(?P<name>.+?)(?P<mark>[.:_ |-]p?|\[)(?P<axis>[xyzXYZ]|(?<=_)[123])(?P<end>\]?)$")
 """A label of a coordinate: LASI.x, LASI_X, LASI[x], LASI_px, LASI_1."""
+AXIS_FIRST = re.compile(r"^(?P<axis>[xyzXYZ])(?P<mark>[.:_])(?P<name>(?![xyzXYZ]$).+)$")
+"""A label of a coordinate whose axis comes first: X_LASI, x:LASI, X_1."""
 NO_POSITION = re.compile(
     "force|moment|torque|veloc|accel|angle|angular|rotation|quaternion|euler|orientation|gyro|magnet|emg|power|grf|"
     "impulse|jerk|activation|fiber|muscle|tendon|speed",
@@ -48,12 +50,15 @@ class Point(NamedTuple):
 def find_points(labels: Sequence[str]) -> list[Point]:
     """The points of a table by the labels of its columns; their columns may be in any order and place.
 
+    The axis comes last, LASI_X, or first, X_LASI, where all three axes of that name are there.
+
     NAME_px belongs to a force plate, and is no point, where NAME_vx is there too; nor is NAME_1, … where NAME_4 is
     there, a quaternion.
     """
-    found: dict[tuple[str, str], dict[str, int]] = {}
+    found = _with_axis_first(labels)
+    taken_first = {column for columns in found.values() for column in columns.values()}
     for column, label in enumerate(labels):
-        match = AXIS.match(label.strip())
+        match = None if column in taken_first else AXIS.match(label.strip())
         if match and not NO_POSITION.search(label):
             axis = match["axis"].lower().translate(str.maketrans("123", "xyz"))
             kind = match["mark"] + match["axis"].translate(str.maketrans("xyzXYZ123", "lllUUUnnn"))
@@ -69,6 +74,17 @@ def find_points(labels: Sequence[str]) -> list[Point]:
         ):
             points.append(Point(name, (columns["x"], columns["y"], columns["z"])))
     return points
+
+
+def _with_axis_first(labels: Sequence[str]) -> dict[tuple[str, str], dict[str, int]]:
+    """Columns of points by (name, kind of label) and axis, whose labels begin with the axis and are there for all."""
+    found: dict[tuple[str, str], dict[str, int]] = {}
+    for column, label in enumerate(labels):
+        match = AXIS_FIRST.match(label.strip())
+        if match and not NO_POSITION.search(label):
+            kind = ("U" if match["axis"].isupper() else "l") + match["mark"]
+            found.setdefault((match["name"], kind), {}).setdefault(match["axis"].lower(), column)
+    return {key: columns for key, columns in found.items() if len(columns) == 3}
 
 
 class Clock(NamedTuple):

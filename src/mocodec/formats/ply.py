@@ -14,6 +14,7 @@ import re
 import shutil
 from collections.abc import Generator, Sequence
 from contextlib import contextmanager
+from itertools import pairwise
 from os import PathLike
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -21,7 +22,9 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from ..errors import BadInput, Truncated
+from ..motion import UP_AXES
 from ..pointcloud import PointClouds
+from ..selection import counted
 from ..typing import Bytes, Floats
 from .conventions import unit_option
 
@@ -33,10 +36,13 @@ TYPES = {
 }  # fmt: skip
 POSITION, NORMAL = ("x", "y", "z"), ("nx", "ny", "nz")
 COLOURS = (("red", "green", "blue"), ("diffuse_red", "diffuse_green", "diffuse_blue"), ("r", "g", "b"))
+KNOWN = {*POSITION, *NORMAL, *(name for names in COLOURS for name in names)}
 MAX_HEADER_BYTES = 1 << 16
 MAX_ELEMENTS = 1 << 40
 MAX_UNIT_COLOUR = 1.01
 """The largest float colour of files whose colours are 0 … 1; rounding may exceed 1."""
+USUAL_EXTENT_M = 100.0
+"""Frames of people that are larger are rarely in metres."""
 
 
 class Element(NamedTuple):
@@ -87,8 +93,13 @@ def read(
         raise BadInput(f"{path}: {error}") from None
     first = frames[0][0].dtype
     names = first.names or ()
+    if not (unit or "units" in comments):
+        notes += _unit_notes(frames)
     colour = next((c for c in COLOURS if set(c) <= set(names)), None)
     normal = NORMAL if set(NORMAL) <= set(names) else None
+    coloured = sum(any(set(c) <= set(values.dtype.names or ()) for c in COLOURS) for values, _ in frames)
+    if colour is None and coloured:
+        notes.append(f"the colours of {counted(coloured, 'frame')} are left out, since {files[0].name} has none")
     for file, (values, _) in zip(files, frames, strict=True):
         _require_properties(file, values, colour, normal)
     positions = [columns(values, POSITION) * unit_m for values, _ in frames]
@@ -114,11 +125,24 @@ def read(
             rate=float(hertz),
             colours=colours,
             normals=normals,
-            up=up or comments.get("up", "y"),
+            up=up or (comments["up"] if comments.get("up") in UP_AXES else "y"),
             source=source,
         )
     except ValueError as error:
         raise BadInput(f"{path}: {error}") from None
+
+
+def _unit_notes(frames: Sequence[tuple[np.ndarray[Any, np.dtype[Any]], Header]]) -> list[str]:
+    """A note on frames without a unit that are too large for metres."""
+    values = next((values for values, _ in frames if len(values)), None)
+    if values is None:
+        return []
+    points = columns(values, POSITION)
+    points = points[np.isfinite(points).all(axis=1)]
+    extent = float(np.ptp(points, axis=0).max()) if len(points) else 0.0
+    if extent <= USUAL_EXTENT_M:
+        return []
+    return [f"its points extend over {extent:,.0f} m: if its unit is not the metre, give it, such as --unit mm (unit=)"]
 
 
 def _read_frames(
@@ -198,7 +222,7 @@ def write(
         raise BadInput(f"{target}: is a file, not a folder")
     old = sorted(target.glob("*.ply"))
     if old and not overwrite:
-        raise BadInput(f"{target}: already has {len(old)} .ply files; name an empty folder, or pass overwrite=True")
+        raise BadInput(f"{target}: already has {len(old)} .ply files; name a new folder (overwrite=True replaces them)")
     with _frames_together(Path(os.path.realpath(target)), old) as folder:
         for frame in range(len(clouds)):
             (folder / f"frame_{frame:06d}.ply").write_bytes(frame_bytes(clouds, frame, encoding))
@@ -241,13 +265,17 @@ def frame_files(path: str | PathLike[str]) -> list[Path]:
 
 
 def missing_numbers(files: list[Path]) -> int:
-    """How many numbers are missing between the first and the last file of a numbered sequence."""
+    """How many numbers are missing between the first and the last file of a sequence whose numbers have a usual step;
+    0 for numbers without one, such as times."""
     numbers = [re.findall(r"[0-9]+", file.stem)[-1:] for file in files]
     if len(files) < 3 or not all(numbers):
         return 0
-    steps = np.diff([int(number[0]) for number in numbers])
-    step = int(np.median(steps))
-    return int((steps // step - 1).sum()) if step > 0 and (steps > 0).all() else 0
+    values = [int(number[0]) for number in numbers]
+    steps = [after - before for before, after in pairwise(values)]
+    usual = sorted(steps)[len(steps) // 2]
+    if usual <= 0 or any(step <= 0 or step % usual for step in steps):
+        return 0
+    return sum(step // usual - 1 for step in steps)
 
 
 def read_frame(path: Path) -> tuple[np.ndarray[Any, np.dtype[Any]], Header]:
@@ -347,6 +375,7 @@ def parse_header(data: bytes, path: Path) -> Header:
                         raise ValueError
                     elements[-1].lists.append((name, TYPES[count], TYPES[kind]))
                 case ["property", kind, name]:
+                    name = name.lower() if name.lower() in KNOWN else name
                     if name in dict(elements[-1].fields):
                         raise ValueError
                     elements[-1].fields.append((name, TYPES[kind]))

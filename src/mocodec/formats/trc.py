@@ -234,7 +234,11 @@ def _rows(header: _Header, body: _Body, path: str, notes: list[str]) -> tuple[tu
     if not body.tabs and len(set(map(len, rows))) > 1:
         raise BadInput("its columns are separated by spaces and differ in number, so gaps cannot be located")
     declared = header.markers or 0
-    names = _marker_names(body, max(map(len, rows), default=2))
+    width = max(map(len, rows), default=2)
+    if stray := _stray_columns(rows, 3 * len(_marker_names(body, 2)), width):
+        width -= stray
+        _leave_out_stray(rows, width, body, notes)
+    names = _marker_names(body, width)
     cells = body.axes.split("\t")[2:] if body.tabs else body.axes.split()
     labelled = -(-max((i + 1 for i, cell in enumerate(cells) if cell.strip()), default=0) // 3)
     if len(names) < declared and labelled > len(names):  # the last columns are labelled and empty in every row
@@ -250,6 +254,33 @@ def _rows(header: _Header, body: _Body, path: str, notes: list[str]) -> tuple[tu
         notes.append(f"the header declares {declared} markers, there are columns for {len(names)}: all are read")
     decimals = max((len(row[1].strip().partition(".")[2].rstrip("0")) for row in rows if len(row) > 1), default=0)
     return names, _table(rows, 2 + 3 * len(names), path), decimals
+
+
+def _stray_columns(rows: list[list[str]], named: int, width: int) -> int:
+    """How many of the last columns belong to no point: unnamed ones, of which no row has all three coordinates.
+
+    named: columns of coordinates with a name. width: cells of the longest row.
+    """
+    stray = 0
+    while width - stray > 2 + named:
+        begin = 2 + 3 * ((width - stray - 3) // 3)
+        if any(len(row) >= begin + 3 and not any(map(is_gap, row[begin : begin + 3])) for row in rows):
+            break
+        stray = width - max(begin, 2 + named)
+    return stray
+
+
+def _leave_out_stray(rows: list[list[str]], width: int, body: _Body, notes: list[str]) -> None:
+    """Cut rows to `width` cells and note it. Raises BadInput where only some rows are longer: a cell too many may have
+    shifted the others of its row.
+    """
+    longer = [number for number, row in enumerate(rows, 1) if len(row) > width]
+    if len(longer) < len(rows):
+        row = rows[longer[0] - 1]
+        raise BadInput(f"row {longer[0]} of its numbers has {len(row)} cells, its {width // 3} markers have {width}")
+    notes.append(f"{len(rows[0]) - width} columns after those of the markers have no name and are left out")
+    for row in rows:
+        del row[width:]
 
 
 def _marker_names(body: _Body, width: int) -> tuple[str, ...]:

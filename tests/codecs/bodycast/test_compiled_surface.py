@@ -37,7 +37,7 @@ def results(largest_turn: int, missing: float) -> list[np.ndarray]:
         moves = rng.integers(-(1 << 17), 1 << 17, (LINKS, 3))
         places, normals = whole.posed(turns, moves)
         rows = np.arange(SAMPLES)[5 * frame :]
-        posed = PosedSurface(rows, places[rows], normals[rows], turns[whole.links[rows, 0]])
+        posed = PosedSurface(rows, places[rows], normals[rows], whole.links[rows, 0], turns)
         samples = rng.integers(0, len(rows), 300)
         samples[rng.random(300) < missing] = -1
         points = posed.places[samples] + rng.integers(-900, 900, (300, 3))
@@ -63,6 +63,7 @@ def test_compiled_and_numpy_surfaces_are_the_same(largest_turn, missing):
 def test_rows_beyond_the_samples_are_refused():
     kernel = native.kernel("canonical_places")
     assert kernel is not None
-    three = np.zeros((1, 3), np.int64)
-    with pytest.raises(ValueError, match="beyond the samples"):
-        kernel(three, np.zeros(1, np.int64), three, np.zeros((1, 3, 3), np.int64), three, np.ones(1, np.int64))
+    three, zero, one = np.zeros((1, 3), np.int64), np.zeros(1, np.int64), np.ones(1, np.int64)
+    for links, samples in ((zero, one), (one, zero)):
+        with pytest.raises(ValueError, match="beyond the samples"):
+            kernel(three, zero, three, links, np.zeros((1, 3, 3), np.int64), three, samples)

@@ -102,6 +102,7 @@ class Bodycast:
         if isinstance(clouds, Motion):
             raise CannotEncode("bodycast codes point clouds, not motions")
         self.require_settings()
+        self._require_colours(clouds)
         if self.residual == EXACT and any(np.isinf(points).any() for points in clouds.positions):
             raise CannotEncode("residual exact cannot keep points at infinity: leave them out")
         frames = [usable_points(clouds, frame) for frame in range(len(clouds))]
@@ -219,6 +220,11 @@ class Bodycast:
         """Whether a target says how close the points are, not the residual."""
         is_given = any(getattr(self, name) is not None for name in EXCLUSIVE)
         return is_given or (self.psnr is not None and self._percent <= SURFACE_PERCENT)
+
+    def _require_colours(self, clouds: PointClouds) -> None:
+        """Raises CannotEncode for a target of the colours of points without colours."""
+        if self.psnr is not None and clouds.colours is None:
+            raise CannotEncode("psnr is a target for the colours of points, and these points have none: leave it out")
 
     def _require_range(self, clouds: PointClouds, spans: Sequence[slice]) -> None:
         """Raises CannotEncode, before any body is tracked, for points too far apart for the target.

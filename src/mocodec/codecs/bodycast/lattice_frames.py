@@ -43,9 +43,9 @@ class LatticeFrame(NamedTuple):
             return np.asarray(kernel(self.originals, decoded, self.rows))
         return np.sqrt(lattice.squares(self.originals - decoded[self.rows]))
 
-    def with_cells(self, cells: Integers) -> LatticeFrame:
-        """The same points in other cells (m, 3)."""
-        return self.with_codes(*_distinct_codes(cells))
+    def with_cells(self, cells: Integers, corner: Integers) -> LatticeFrame:
+        """The same points in cells (m, 3), with codes from a corner (3,)."""
+        return self.with_codes(*_distinct_codes(cells, corner))
 
     def with_codes(self, codes: Integers, rows: Integers) -> LatticeFrame:
         """The same points with other `codes` and `rows`."""
@@ -87,8 +87,10 @@ def to_lattice(frames: Sequence[Cloud], bound_m: float, coloured: bool) -> tuple
     places = [lattice.nearest(points, step) for points, _ in frames]
     grid = _grid([p for p in places if len(p)], step, bound_m)
     pairs = zip(places, frames, strict=True)
+    nothing = np.zeros(0, np.int64)
     return grid, [
-        _lattice_frame(place - grid.corner, points, colours if coloured else None) for place, (points, colours) in pairs
+        LatticeFrame(nothing, None, points, nothing, colours if coloured else None).with_cells(place, grid.corner)
+        for place, (points, colours) in pairs
     ]
 
 
@@ -118,8 +120,11 @@ def _step_of_bound(bound_m: float) -> float:
 
 def _grid(filled: Sequence[Integers], step: float, bound_m: float) -> LatticeGrid:
     """The grid of lattice points (n, 3) of frames with points. Raises CannotEncode for points too far apart."""
-    corner = np.min([p.min(axis=0) for p in filled], axis=0) // 2 * 2 if filled else np.zeros(3, np.int64)
-    depth = max((int((p.max(axis=0) - corner).max()).bit_length() for p in filled), default=0)
+    corner, depth = np.zeros(3, np.int64), 0
+    if filled:
+        boxes = np.stack([_box(p) for p in filled])
+        corner = boxes[:, 0].min(axis=0) // 2 * 2
+        depth = int((boxes[:, 1] - corner).max()).bit_length()
     if depth > point_octree.MAX_DEPTH or np.abs(corner).max() >= MAX_CORNER:
         limit_m = 2**point_octree.MAX_DEPTH * step
         raise CannotEncode(
@@ -129,18 +134,19 @@ def _grid(filled: Sequence[Integers], step: float, bound_m: float) -> LatticeGri
     return LatticeGrid(step, corner, depth)
 
 
-def _lattice_frame(coordinates: Integers, points: Floats, colours: Bytes | None) -> LatticeFrame:
-    """Points of one cell become one, with their mean colour."""
-    nothing = np.zeros(0, np.int64)
-    return LatticeFrame(nothing, None, points, nothing, colours).with_cells(coordinates)
+def _box(cells: Integers) -> Integers:
+    """(2, 3): the least and the largest coordinates of cells (n, 3), n > 0."""
+    if (kernel := native.kernel("box_of_cells")) is not None:
+        return np.asarray(kernel(cells))
+    return np.stack([cells.min(axis=0), cells.max(axis=0)])
 
 
-def _distinct_codes(cells: Integers) -> tuple[Integers, Integers]:
-    """The `codes` and `rows` of a frame with points in cells (m, 3)."""
+def _distinct_codes(cells: Integers, corner: Integers) -> tuple[Integers, Integers]:
+    """The `codes` and `rows` of a frame with points in cells (m, 3), from a corner (3,)."""
     if (kernel := native.kernel("distinct_codes")) is not None:
-        codes, rows = kernel(cells)
+        codes, rows = kernel(cells, corner)
         return np.asarray(codes), np.asarray(rows)
-    codes, rows = np.unique(octree.morton_codes(cells), return_inverse=True)
+    codes, rows = np.unique(octree.morton_codes(cells - corner), return_inverse=True)
     return codes, rows.reshape(-1)
 
 

@@ -76,7 +76,7 @@ def chosen_cells(frame: LatticeFrame, grid: LatticeGrid, hints: SurfaceHints, bo
     costs = _costs_of_classes(frequencies, _bits_of_area(width, hints))[classes]
     errors = _errors(points, choices, samples, hints, is_used, reach)
     chosen = _PointsAndCells(choices.starts, choices.cell_of, errors, costs, choices.nearest).choose()
-    return frame.with_cells(choices.cells[chosen])
+    return frame.with_cells(choices.cells[chosen], np.zeros(3, np.int64))
 
 
 def _candidates(points: Integers, reach: int, depth: int) -> _Choices:

@@ -100,16 +100,17 @@ class Scene:
 
     def posed(self, k: int, values: Sequence[Floats], shifts: Sequence[int]) -> PosedSurface:
         """The samples in frame k. values, shifts: `pose_values` and rounding shift of each body in the frame."""
-        parts = list[tuple[Integers, Integers, Integers, Integers]]()
+        parts, links = list[tuple[Integers, ...]](), 0
         for b, value, shift in zip(self.bodies.present(k), values, shifts, strict=True):
             surface = self.surfaces[b]
             places, normals, turns = posed_samples(surface, value, shift)
             rows = np.arange(self._starts[b], self._starts[b + 1])
-            parts.append((rows, places, normals, turns[surface.links[:, 0]]))
+            parts.append((rows, places, normals, surface.links[:, 0] + links, turns))
+            links += len(turns)
         if len(parts) == 1:
             return PosedSurface(*parts[0])
-        nothing = np.zeros(0, np.int64), np.zeros((0, 3), np.int64), np.zeros((0, 3), np.int64)
-        return PosedSurface(*map(np.concatenate, zip((*nothing, np.zeros((0, 3, 3), np.int64)), *parts, strict=True)))
+        nothing = (np.zeros(shape, np.int64) for shape in (0, (0, 3), (0, 3), 0, (0, 3, 3)))
+        return PosedSurface(*map(np.concatenate, zip(nothing, *parts, strict=True)))
 
     def hints(self, k: int, frame: PosedSurface, step_m: float, corner: Integers, depth: int) -> SurfaceHints | None:
         """What the octree of frame k sees of the samples; None without bodies. Raises Corrupt."""

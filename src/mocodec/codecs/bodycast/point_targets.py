@@ -75,9 +75,8 @@ def finest_that_fits(size: float, coded_bytes: Callable[[float], float], beside:
     smallest = coded_bytes(COARSEST_BOUND_M)
     if smallest > size:
         raise CannotEncode(
-            f"bodycast cannot encode this to a file of {size + beside:,.0f} bytes, only of about "
-            f"{smallest + beside:,.0f}, with points within {COARSEST_BOUND_M * 1000:g} mm; ask for a larger file, or "
-            "for a surface without a bound on its points (residual)"
+            f"points within {COARSEST_BOUND_M * 1000:g} mm take about {smallest + beside:,.0f} bytes; "
+            "a surface without a bound on its points (residual) takes fewer"
         )
     for _ in range(SIZE_ATTEMPTS):
         middle = (low + high) / 2

@@ -35,12 +35,14 @@ class PosedSurface(NamedTuple):
     """The samples of all bodies in a frame.
 
     rows (m,): their numbers among the samples of all bodies of the file. places (m, 3): 2^-16 m. normals (m, 3): of
-    length 2^NORMAL_BITS. turns (m, 3, 3): of the first link of each sample, 2^-TURN_BITS.
+    length 2^NORMAL_BITS. links (m,): the first link of each sample, among those of all bodies in the frame. turns
+    (links, 3, 3): 2^-TURN_BITS.
     """
 
     rows: Integers
     places: Integers
     normals: Integers
+    links: Integers
     turns: Integers
 
 
@@ -58,9 +60,10 @@ class SampleTable(NamedTuple):
     def canonical(self, frame: PosedSurface, points: Integers, samples: Integers) -> Integers:
         """(n, 3): points of a frame in the canonical pose, each moved as the first link of its sample (n,) ≥ 0."""
         if (kernel := native.kernel("canonical_places")) is not None:
-            return np.asarray(kernel(self.points, frame.rows, frame.places, frame.turns, points, samples))
+            surface = frame.rows, frame.places, frame.links, frame.turns
+            return np.asarray(kernel(self.points, *surface, points, samples))
         apart = points - frame.places[samples]
-        turned = (frame.turns[samples] * apart[:, :, None]).sum(axis=1) >> TURN_BITS
+        turned = (frame.turns[frame.links[samples]] * apart[:, :, None]).sum(axis=1) >> TURN_BITS
         return np.clip(self.points[frame.rows[samples]] + turned, -LARGEST_PLACE, LARGEST_PLACE)
 
 
