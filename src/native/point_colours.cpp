@@ -69,7 +69,11 @@ public:
         require(cells.shape(1) == 3 && expected.shape(0) == size_ && expected.shape(1) == 3 && is_expected.shape(0) == size_ &&
                     shares.shape(0) == 3 && steps.shape(0) == 3,
                 "colour_frame: shapes differ");
-        for (int d = 0; d < 3; ++d) require(steps.data()[d] > 0, "colour_frame: a step below 1");
+        for (size_t d = 0; d < 3; ++d) {
+            require(steps.data()[d] > 0, "colour_frame: a step below 1");
+            activities_.emplace_back(2, steps.data()[d]);
+            spreads_.emplace_back(1, steps.data()[d]);
+        }
         for (size_t i = 0; i < 3 * size_; ++i)
             require(std::abs(expected.data()[i]) <= LARGEST + 1, "colour_frame: an expected colour out of range");
         find_narrow_cells();
@@ -137,8 +141,6 @@ private:
             known_cells_.resize(known.size());
             for (size_t j = 0; j < known.size(); ++j) known_cells_[j] = narrow_[j * pass.apart];
         }
-        const Classes activities[] = {{2, steps_.data()[0]}, {2, steps_.data()[1]}, {2, steps_.data()[2]}};
-        const Classes spreads[] = {{1, steps_.data()[0]}, {1, steps_.data()[1]}, {1, steps_.data()[2]}};
         for (size_t k = 0; k < pass.count; ++k) {
             const size_t row = pass.row(k);
             const bool is_expected = is_expected_.data()[row];
@@ -149,8 +151,8 @@ private:
                 channel.base[k] = int16_t(base);
                 channel.correction[k] = means.error[d];
                 channel.predicted[k] = int16_t(base + (is_expected ? means.error[d] * int(shares_.data()[d]) >> SHARE_BITS : 0));
-                channel.activity[k] = activities[d].of(means.magnitude[d]);
-                channel.spread[k] = spreads[d].of(means.spread[d]);
+                channel.activity[k] = activities_[d].of(means.magnitude[d]);
+                channel.spread[k] = spreads_[d].of(means.spread[d]);
             }
         }
     }
@@ -261,6 +263,7 @@ private:
     const Colours expected_;
     const Input<uint8_t, 1> is_expected_;
     const Rows shares_, steps_;
+    std::vector<Classes> activities_, spreads_;  // of each channel
     std::vector<Cell> narrow_, known_cells_;
     Channel channels_[3];
     std::vector<Known> fresh_;
