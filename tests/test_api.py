@@ -77,10 +77,10 @@ def equal(a: mc.Motion, b: mc.Motion) -> bool:
 
 def test_encode_and_decode(tmp_path: Path):
     motion = walk()
-    blob = mc.encode(motion, "plain", max_error=0.5)
-    assert blob == mc.encode(motion, Plain(max_error=0.5))
+    blob = mc.encode(motion, "plain", max_error=0.25)
+    assert blob == mc.encode(motion, Plain(max_error=0.25))
     path = tmp_path / "walk.mocz"
-    mc.write(path, motion, codec="plain", max_error=0.5)
+    mc.write(path, motion, codec="plain", max_error=0.25)
     assert path.read_bytes() == blob
     for source in (blob, path, str(path), io.BytesIO(blob)):
         assert equal(mc.decode(source), motion)
@@ -91,10 +91,10 @@ def test_encode_and_decode(tmp_path: Path):
 
 def test_random_access():
     motion = walk()
-    with mc.open(mc.encode(motion, "plain", max_error=0.5)) as f:
+    with mc.open(mc.encode(motion, "plain", max_error=0.25)) as f:
         assert f.shape == (95, 4, 3)
         assert (f.rate, f.names, len(f)) == (120.0, motion.names, 95)
-        assert f.info["promise"] == {"max_error": 0.5}
+        assert f.info["promise"] == {"max_error": 0.25}
         assert equal(f[12:47], motion[12:47])
         assert f[12:47, ["RANK", "LKNE"]].names == ("RANK", "LKNE")
         np.testing.assert_array_equal(f[90:].positions, motion.positions[90:])
@@ -301,8 +301,8 @@ def test_another_kind_than_asked_for_raises(tmp_path: Path):
 
 def test_reprs_are_one_short_line():
     motion = walk()
-    with mc.open(mc.encode(motion, "plain", max_error=0.5)) as f:
-        assert repr(f) == "<File: plain, 95 frames of 4 points at 120 Hz, 0.7917 s, max_error=0.5>"
+    with mc.open(mc.encode(motion, "plain", max_error=0.25)) as f:
+        assert repr(f) == "<File: plain, 95 frames of 4 points at 120 Hz, 0.7917 s, max_error=0.25>"
     assert repr(motion) == "<Motion: 95 frames of 4 points at 120 Hz, 0.7917 s, y up, 1.1 % gaps>"
     assert repr(motion[0]).startswith("<Motion: 1 frame of 4 points")
     assert repr(motion.extras["analog"]) == "<Signal: 950 int64 at 1200 Hz>"
@@ -326,3 +326,10 @@ def test_the_bytes_do_not_depend_on_threads(target: dict[str, float]) -> None:
 def test_a_number_of_threads_that_is_none() -> None:
     with pytest.raises(BadInput, match="threads must be 1 or more"):
         mc.encode(synthetic.markers(frames=10), threads=0)
+
+
+def test_an_error_of_metres_is_named_with_its_unit() -> None:
+    for name in ("max_error", "mean_error"):
+        with pytest.warns(UserWarning, match=f"{name}=2 is 2 m: lengths are in metres; 2 mm is 0.002") as caught:
+            mc.encode(walk(), **{name: 2})
+        assert caught[0].filename == __file__

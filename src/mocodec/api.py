@@ -8,7 +8,9 @@ file ─read─► Motion ─encode─► bytes of a .mocz ─decode─► Motio
 from __future__ import annotations
 
 import dataclasses
+import math
 import os
+import warnings
 from collections.abc import Iterable
 from os import PathLike
 from typing import TYPE_CHECKING, Any, cast, overload
@@ -150,8 +152,9 @@ def encode(
 
     Targets, at most one of the first four; without any, tempo moves no point of any frame by more than 5 mm:
 
-    max_error: metres; no point of any frame is farther off. Where rotations are kept, this holds for joints and points
-    3 cm off them; of point clouds, errors are distances to the nearest point of the other cloud, in both directions.
+    max_error: metres (2 mm is 0.002; a warning says so from 0.5 on); no point of any frame is farther off. Where
+    rotations are kept, this holds for joints and points 3 cm off them; of point clouds, errors are distances to the
+    nearest point of the other cloud, in both directions.
     mean_error: metres; the mean over all points and frames is not larger.
     ratio: size as float32 positions (`raw_bytes`) over size of the file without extras, at least.
     size: bytes of the file, at most.
@@ -175,6 +178,7 @@ def encode(
             "mocodec.Motion(positions, rate)"
         )
     chosen = with_options(codec or default_codec(recording), **without_empty_targets(settings))
+    _warn_of_metres(settings)
     with progress_.listening(progress), parallel.threads(threads):
         return pack(chosen, recording, signal_error)
 
@@ -207,8 +211,22 @@ def encode_blocks(
     from . import in_pieces
 
     chosen = with_options(codec, **without_empty_targets(settings))
+    _warn_of_metres(settings)
     with progress_.listening(progress), parallel.threads(threads):
         return in_pieces.write(blocks, path, chosen, frames)
+
+
+IMPLAUSIBLE_ERROR_M = 0.5
+"""Errors of human motion from here on are rarely meant: `max_error=2` is two metres."""
+
+
+def _warn_of_metres(settings: dict[str, Any]) -> None:
+    """A warning for errors that are millimetres by their size, at the call of the function of this module."""
+    for name in ("max_error", "mean_error"):
+        value = settings.get(name)
+        if value is not None and IMPLAUSIBLE_ERROR_M <= value < math.inf:
+            text = f"{name}={value:g} is {value:g} m: lengths are in metres; {value:g} mm is {value / 1000:g}"
+            warnings.warn(text, stacklevel=3)
 
 
 def not_kept(recording: Recording, codec: str | Codec[Any] | None = None) -> list[str]:

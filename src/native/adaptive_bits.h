@@ -212,6 +212,7 @@ public:
     }
 
     size_t size() const { return out_.size(); }
+    const std::vector<uint8_t> &written() const { return out_; }
 
     // Ends with the fewest bytes that decode correctly if zeros follow.
     std::vector<uint8_t> finish() {
@@ -255,6 +256,14 @@ public:
         return bit;
     }
 
+    // Goes on with longer data that begin with the same bytes.
+    void extend(const uint8_t *data, size_t size) {
+        data_ = data;
+        size_ = size;
+    }
+
+    // Whether the data reach for the next bit, which reads at most four bytes.
+    bool reaches_next() const { return at_ + 4 <= size_; }
     // Whether all bytes were read, and at most four beyond the end, which a decoder reads ahead.
     bool at_end() const { return at_ >= size_ && at_ <= size_ + 4; }
     // Whether the stream is cut off: more than four bytes were read beyond the end.

@@ -121,7 +121,9 @@ struct OctreeFunctions {
         Tree tree = tree_of(depth, surface, bell);
         for (size_t i = 1; i < codes.shape(0); ++i)
             if (codes.data()[i] <= codes.data()[i - 1]) throw std::invalid_argument("octree: the codes are not sorted");
-        if (!code_alone(tree, coder, codes.data(), codes.shape(0)) || tree.points().size() != codes.shape(0))
+        const bool is_tree = code_alone(tree, coder, codes.data(), codes.shape(0));
+        const std::vector<uint64_t> &coded = tree.points().codes;
+        if (!is_tree || coded.size() != codes.shape(0) || !std::equal(coded.begin(), coded.end(), codes.data()))
             throw std::invalid_argument("octree: the codes are not lattice points");
         return samples_of(tree, surface);
     }

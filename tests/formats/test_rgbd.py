@@ -12,6 +12,7 @@ import pytest
 import mocodec as mc
 from mocodec import cli, formats
 from mocodec.errors import BadInput
+from mocodec.formats import rgbd
 from mocodec.pointcloud import PointClouds
 
 image = pytest.importorskip("PIL.Image")
@@ -118,3 +119,12 @@ def test_options_and_the_command_line(tmp_path):
     decoded = mc.decode(output)
     assert isinstance(decoded, PointClouds)
     assert len(decoded) == 2
+
+
+def test_more_points_than_the_bytes_of_images_can_show_are_refused(tmp_path, monkeypatch):
+    write(tmp_path)
+    monkeypatch.setattr(rgbd, "MAX_POINTS", 3)
+    assert len(read(tmp_path)) == 2
+    monkeypatch.setattr(rgbd, "POINTS_PER_BYTE", 0)
+    with pytest.raises(BadInput, match=r"frame10\.png: 2 points are too many"):
+        read(tmp_path)

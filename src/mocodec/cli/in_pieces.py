@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import zipfile
 from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
@@ -41,7 +42,7 @@ def encoded(
                 f"--in-pieces takes a file of {', '.join(formats.BLOCKS)}, the codec tempo, and a file as output"
             )
         return None
-    if not asked and (not Path(source).exists() or os.path.getsize(source) < LARGE_BYTES):
+    if not asked and (not Path(source).exists() or _bytes_of(source) < LARGE_BYTES):
         return None
     codec = codec_with(Tempo.name, chosen["settings"], chosen["targets"])
     try:
@@ -55,6 +56,15 @@ def encoded(
     if not asked and not _is_possible(codec, blocks):
         return None
     return _written(source, output, blocks, codec, chosen.get("prior"))
+
+
+def _bytes_of(source: str) -> int:
+    """Bytes of a file, of an .npz those of its arrays."""
+    try:
+        with zipfile.ZipFile(source) as archive:
+            return sum(member.file_size for member in archive.infolist())
+    except (zipfile.BadZipFile, OSError):
+        return os.path.getsize(source)
 
 
 def _is_possible(codec: Any, blocks: formats.Blocks) -> bool:

@@ -4,12 +4,14 @@
 
 Both classes have the same method `code`, which returns the bits: a function that codes something runs unchanged in the
 encoder, where it knows the bits, and in the decoder, where it does not.
+
+`BitCheck` decodes the bytes of an encoder that is still coding, and compares the bits.
 """
 
 from __future__ import annotations
 
 import copy
-from typing import Any, Protocol
+from typing import Any, NamedTuple, Protocol
 
 import numpy as np
 
@@ -19,6 +21,7 @@ from ..typing import AnyInteger, Booleans
 from .adaptive_bits import INPUTS, Decoder, Encoder, Mixer, tables
 
 CUT_OFF = "a stream of adaptive bits is cut off or damaged"
+DIFFERENT = "a stream of adaptive bits does not decode to the bits that were coded"
 
 
 class BitCoder(Protocol):
@@ -38,13 +41,24 @@ class BitCoder(Protocol):
         ...
 
 
+class CodedPart(NamedTuple):
+    """What an encoder coded in one step. data: the whole bytes that it wrote. bits: with their contexts, compiled."""
+
+    data: bytes
+    bits: Any
+
+
 class BitEncoder:
     """Arrays of bits to bytes."""
 
-    def __init__(self) -> None:
+    def __init__(self, keeps_bits: bool = False) -> None:
+        """keeps_bits: for `take`, which needs `BitCheck.is_available`."""
         kernel = native.kernel("BitArrayEncoder")
         self._kernel: Any = kernel(*tables()) if kernel else None
         self._mixer, self._encoder = (None, None) if kernel else (Mixer(), Encoder())
+        self._taken = 0  # bytes
+        if keeps_bits:
+            self._kernel.keep_bits()
 
     @property
     def compiled(self) -> Any:
@@ -76,6 +90,12 @@ class BitEncoder:
     def size(self) -> int:
         """Whole bytes so far."""
         return int(self._kernel.size()) if self._encoder is None else self._encoder.size
+
+    def take(self) -> CodedPart:
+        """What was coded since the last call, for `BitCheck.follow`."""
+        part = CodedPart(bytes(self._kernel.written(self._taken)), self._kernel.take_bits())
+        self._taken += len(part.data)
+        return part
 
     def finish(self) -> bytes:
         """The bytes of all arrays."""
@@ -116,6 +136,34 @@ class BitDecoder:
         """Raises Corrupt if bytes are left."""
         if not (self._kernel.at_end() if self._decoder is None else self._decoder.at_end):
             raise Corrupt("a stream of adaptive bits does not end where its bytes end")
+
+
+class BitCheck:
+    """Decodes all bits from the bytes of an encoder, and compares them with the coded ones.
+
+    It follows the encoder part by part, with counters, weights and a range decoder of its own. The contexts are the
+    encoder's: they follow from earlier bits, and those are equal up to the first difference, where the check fails.
+    """
+
+    def __init__(self) -> None:
+        kernel = native.kernel("BitArrayCheck")
+        assert kernel is not None
+        self._kernel: Any = kernel(*tables())
+
+    @staticmethod
+    def is_available() -> bool:
+        """Whether the compiled module has it."""
+        return native.kernel("BitArrayCheck") is not None
+
+    def follow(self, part: CodedPart) -> None:
+        """Compare the next bits as far as the bytes so far reach. Raises Corrupt where they differ."""
+        if not self._kernel.follow(part.data, part.bits):
+            raise Corrupt(DIFFERENT)
+
+    def finish(self, data: bytes) -> None:
+        """Compare the remaining bits with all bytes of the encoder, which begin with those so far. Raises Corrupt."""
+        if not self._kernel.finish(data):
+            raise Corrupt(DIFFERENT)
 
 
 def _arrays(contexts: AnyInteger, sets: AnyInteger) -> tuple[Any, Any]:

@@ -29,6 +29,8 @@ INTRINSICS = ("camera.json", "intrinsics.json", "intrinsic.json", "camera_intrin
 COLOUR_SUFFIXES = (".png", ".jpg", ".jpeg")
 MILLIMETRES = 1000.0  # steps of a metre, if the JSON does not say it
 MAX_IMAGE_PIXELS = 1 << 26
+MAX_POINTS, POINTS_PER_BYTE = 1 << 22, 64
+"""Most points of all frames: MAX_POINTS, and so many for each byte of the depth images; more is damage or malice."""
 MAX_JSON_BYTES = 1 << 20
 Y_UP = np.diag([1.0, -1.0, -1.0, 1.0])
 
@@ -90,8 +92,10 @@ def read(
         raise BadInput(f"{folder}: depth has no .png")
     colours = _colour_images(folder, depths)
     positions, frames_of_colours = list[Floats](), list[Bytes]()
+    room = MAX_POINTS + POINTS_PER_BYTE * sum(depth.stat().st_size for depth in depths)
     for depth, colour in zip(depths, colours or [None] * len(depths), strict=True):
-        points, own = _frame(depth, colour, camera, step_m)
+        points, own = _frame(depth, colour, camera, step_m, room)
+        room -= len(points)
         positions.append(points)
         if own is not None:
             frames_of_colours.append(own)
@@ -167,11 +171,13 @@ def _colour_images(folder: Path, depths: list[Path]) -> list[Path] | None:
     return images
 
 
-def _frame(depth: Path, colour: Path | None, camera: Camera, step_m: float) -> tuple[Floats, Bytes | None]:
-    """The points (n, 3), float32 precision, and colours (n, 3) of an image."""
+def _frame(depth: Path, colour: Path | None, camera: Camera, step_m: float, room: int) -> tuple[Floats, Bytes | None]:
+    """The points (n, 3), float32 precision, and colours (n, 3) of an image. Raises BadInput for more than `room`."""
     values = _pixels(depth, None)
     if values.ndim != 2 or values.dtype.kind not in "ui":
         raise BadInput(f"{depth}: depth is one channel of integers, not {values.shape} of {values.dtype}")
+    if (count := int(np.count_nonzero(values))) > room:
+        raise BadInput(f"{depth}: {count:,} points are too many for images of so few bytes")
     v, u = np.nonzero(values)
     z = values[v, u].astype(float) * step_m
     seen = np.stack([(u - camera.cx) * z / camera.fx, (v - camera.cy) * z / camera.fy, z, np.ones(len(z))], axis=1)

@@ -110,7 +110,7 @@ def _pack(
     for own in filled:
         _code_repeats(encoder, own.repeats, len(own.repeats))
     streams = (
-        point_layer.join(coded, None, b""),
+        point_layer.join(coded.part, None, b""),
         encoder.finish(),
         b"" if step else exact_points.float_bits([(own.cells, own.magnitudes) for own in filled]),
     )
@@ -119,7 +119,7 @@ def _pack(
     if coloured:
         memory, colour_coder = ColoursOfChunk(coded.table, LOSSLESS), BitEncoder()
         colours = [own for points, own in frames if len(points) and own is not None]
-        for own, located, colour in zip(filled, coded.frames, colours, strict=True):
+        for own, (_, located), colour in zip(filled, coded.filled(), colours, strict=True):
             wanted = point_colours.ycocg_from_rgb(colour[own.order])
             memory.code_repeated(colour_coder, wanted, located, own.repeats)
         packed += colour_coder.finish()

@@ -1,24 +1,39 @@
 """All points of a recording on lattices, coded to a target and decoded again to check it.
 
 target ─► bound of the lattice, colour step ─► chunks ─► decoded ─► the points of the lattice? colours good enough?
+
+Where the bound is known at once, the check follows the encoder frame by frame; after a search for the bound, the chunks
+that it has coded are decoded.
 """
 
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Sequence
+from itertools import islice
 from typing import NamedTuple
 
 import numpy as np
 
 from ... import parallel, progress
+from ...entropy.bit_arrays import BitCheck, BitEncoder
 from ...errors import CannotEncode
 from ...metrics import point_clouds
 from ...typing import Bytes, Floats
 from ..clouds.raw_frames import Cloud
 from . import point_choice, point_targets
 from .colour_lifting import ColourSteps
-from .lattice_frames import LatticeFrame, to_lattice
-from .point_layer import CodedPlaces, LocatedPoints, join, pack_colours, pack_places, unpack_points
+from .lattice_frames import LatticeFrame, LatticeGrid, to_lattice
+from .point_check import ChunkCheck, check_decoded
+from .point_layer import (
+    FRAMES_AHEAD,
+    CodedFrame,
+    CodedPlaces,
+    ColoursOfChunk,
+    PlacesEncoder,
+    join,
+    pack_colours,
+    pack_places,
+)
 from .point_scene import ChunkBodies
 
 
@@ -64,22 +79,53 @@ class PointEncoder:
     def encode(self, target: PointTarget) -> list[bytes]:
         """The part of each chunk. Raises CannotEncode if the target cannot be met.
 
-        With threads, the places of a chunk are coded beside the colours and the check of the chunk before it.
+        With threads, the places of the next frames or chunks are coded beside the colours and the check.
         """
         bound = self.bound(target)
         steps = self._usual_steps(bound)
-        chunks: Iterable[_CodedChunk] = parallel.ahead(self._coded_chunks(bound))
         if self.coloured and target.psnr is not None:
             chunks = self._places(bound)
-            steps = self._steps_of_psnr(chunks, bound, target.psnr)
-        elif self._last is not None and self._last[0] == bound:
-            chunks = self._last[1]
+            return self._decoded_parts(chunks, bound, self._steps_of_psnr(chunks, bound, target.psnr))
+        if self._last is not None and self._last[0] == bound:
+            return self._decoded_parts(self._last[1], bound, steps)
+        if not BitCheck.is_available():
+            return self._decoded_parts(parallel.ahead(self._coded_chunks(bound)), bound, steps)
+        frames = parallel.ahead(self._coded_frames(bound), FRAMES_AHEAD)
+        numbers = progress.over(range(len(self.spans)))
+        return [self._followed_part(number, frames, bound, steps) for number in numbers]
+
+    def _decoded_parts(self, chunks: Iterable[_CodedChunk], bound: float, steps: ColourSteps | None) -> list[bytes]:
+        """The part of each chunk, decoded to check it."""
         parts = list[bytes]()
         for number, chunk in zip(progress.over(range(len(self.spans))), chunks, strict=True):
             part, colours = chunk.with_colours(steps)
-            self._check(number, part, colours, chunk.pairs(), bound)
+            check_decoded(part, chunk.places, colours if self.coloured else None, self.bodies[number], bound)
             parts.append(part)
         return parts
+
+    def _followed_part(
+        self,
+        number: int,
+        frames: Iterator[tuple[PlacesEncoder, CodedFrame]],
+        bound: float,
+        steps: ColourSteps | None,
+    ) -> bytes:
+        """The part of a chunk, checked while its frames are coded. frames: of this chunk, then of the next ones."""
+        span, check, coder = self.spans[number], ChunkCheck(bound), BitEncoder(keeps_bits=True)
+        places: PlacesEncoder | None = None
+        colours: ColoursOfChunk | None = None
+        for places, frame in islice(frames, span.stop - span.start):
+            check.follow_places(frame)
+            if steps is None or frame.located is None:
+                continue
+            colours = colours or ColoursOfChunk(places.table, steps)
+            colours.code(coder, frame.colours(), frame.located)
+            check.follow_colours(coder.take())
+        assert places is not None
+        stored = places.part()
+        part = join(stored, steps, coder.finish())
+        check.finish(part, stored, steps, self.bodies[number])
+        return part
 
     def bound(self, target: PointTarget) -> float:
         """The bound of the lattice that meets the target, metres."""
@@ -95,8 +141,8 @@ class PointEncoder:
 
     def _mean_error(self, bound: float) -> float:
         """The mean error of the points that are decoded with this bound, metres."""
-        pairs = [pair for chunk in self._places(bound) for pair in chunk.pairs()]
-        return point_targets.mean_error([(frame, located.positions) for frame, located in pairs])
+        pairs = [pair for chunk in self._places(bound) for pair in chunk.places.filled()]
+        return point_targets.mean_error([(frame.source, located.positions) for frame, located in pairs])
 
     def coded(self, bound: float) -> list[bytes]:
         """The part of each chunk, with the usual colours of this bound, metres; not checked."""
@@ -104,7 +150,8 @@ class PointEncoder:
 
     def frame_bytes(self, bound: float) -> list[Floats]:
         """Bytes of each frame with points of each chunk, as `coded`; colours and the rest count in equal shares."""
-        octrees = [np.diff(chunk.places.ends, prepend=0) for chunk in self._places(bound)]
+        ends = [[frame.octrees_size for frame, _ in chunk.places.filled()] for chunk in self._places(bound)]
+        octrees = [np.diff(of_chunk, prepend=0) for of_chunk in ends]
         parts = self.coded(bound)
         return [own + (len(part) - own.sum()) / len(own) for part, own in zip(parts, octrees, strict=True)]
 
@@ -121,10 +168,21 @@ class PointEncoder:
 
     def _coded_chunks(self, bound: float) -> Iterator[_CodedChunk]:
         """The chunks without their colours, one after the other."""
-        for span, bodies in zip(self.spans, self.bodies, strict=True):
-            reach = bound / point_choice.FREEDOM if bodies.textures else bound
-            grid, frames = to_lattice(self.frames[span], reach, self.coloured)
-            yield _CodedChunk(pack_places(grid, frames, bodies, bound))
+        for number in range(len(self.spans)):
+            yield _CodedChunk(pack_places(*self._on_lattice(number, bound), self.bodies[number], bound))
+
+    def _coded_frames(self, bound: float) -> Iterator[tuple[PlacesEncoder, CodedFrame]]:
+        """The frames of all chunks without their colours, each with the encoder of its chunk."""
+        for number in range(len(self.spans)):
+            grid, frames = self._on_lattice(number, bound)
+            encoder = PlacesEncoder(grid, frames, self.bodies[number], bound, keeps_bits=True)
+            for frame in encoder.frames():
+                yield encoder, frame
+
+    def _on_lattice(self, number: int, bound: float) -> tuple[LatticeGrid, list[LatticeFrame]]:
+        """The frames of a chunk, so that `pack_places` can keep the bound."""
+        reach = bound / point_choice.FREEDOM if self.bodies[number].textures else bound
+        return to_lattice(self.frames[self.spans[number]], reach, self.coloured)
 
     def _steps_of_psnr(self, chunks: Sequence[_CodedChunk], bound: float, psnr: float) -> ColourSteps:
         """The coarsest steps whose colours have this PSNR: bisection. Raises CannotEncode if none have."""
@@ -134,7 +192,7 @@ class PointEncoder:
             for chunk, span in zip(chunks, self.spans, strict=True):
                 colours = iter(chunk.with_colours(ColourSteps.of_luma(step))[1])
                 originals = [original for original in self.frames[span] if len(original[0])]
-                for (_, located), original in zip(chunk.pairs(), originals, strict=True):
+                for (_, located), original in zip(chunk.places.filled(), originals, strict=True):
                     squares += point_clouds.luma_squares(original, (located.positions, next(colours)))
             return not squares[:, 1].all() or point_clouds.pooled_psnr(squares) >= psnr
 
@@ -146,42 +204,15 @@ class PointEncoder:
             )
         return ColourSteps.of_luma(step)
 
-    def _check(
-        self,
-        number: int,
-        part: bytes,
-        colours: Sequence[Bytes],
-        pairs: Sequence[tuple[LatticeFrame, LocatedPoints]],
-        bound: float,
-    ) -> None:
-        """Decodes a chunk, compares its points and colours with the coded ones, and measures all points. number: of the
-        chunk. Raises CannotEncode.
-        """
-        span = self.spans[number]
-        decoded = unpack_points(part, span.stop - span.start, self.bodies[number], self.coloured)
-        filled = (cloud for cloud in decoded if len(cloud[0]))
-        wanted = zip(pairs, colours if self.coloured else [None] * len(pairs), strict=True)
-        for ((_, located), colour), (points, own) in zip(wanted, filled, strict=True):
-            same = np.array_equal(points, located.positions)
-            if not same or (colour is not None and not np.array_equal(colour, np.asarray(own))):
-                raise CannotEncode("bodycast: the decoded points are not those that were coded")
-        if any(frame.own_distances(located.positions).max() > bound for frame, located in pairs):
-            raise CannotEncode(f"bodycast cannot bound the error of these points by {bound * 1000:g} mm")
-
 
 class _CodedChunk(NamedTuple):
     """A chunk on its lattice. places: coded, without colours."""
 
     places: CodedPlaces
 
-    def pairs(self) -> list[tuple[LatticeFrame, LocatedPoints]]:
-        """The frames with points, and their decoded points."""
-        return list(zip((f for f in self.places.sources if len(f.codes)), self.places.frames, strict=True))
-
     def with_colours(self, steps: ColourSteps | None) -> tuple[bytes, list[Bytes]]:
         """The part of the chunk, and the decoded colours of each frame with points; steps: None without colours."""
         if steps is None:
-            return join(self.places, None, b""), []
-        wanted = [frame.colours for frame in self.places.sources if len(frame.codes) and frame.colours is not None]
-        data, decoded = pack_colours(self.places, wanted, steps)
-        return join(self.places, steps, data), decoded
+            return join(self.places.part, None, b""), []
+        data, decoded = pack_colours(self.places, steps)
+        return join(self.places.part, steps, data), decoded

@@ -17,7 +17,7 @@ import numpy as np
 
 from ... import parallel
 from ...entropy import varint
-from ...entropy.bit_arrays import BitCoder, BitDecoder, BitEncoder
+from ...entropy.bit_arrays import BitCoder, BitDecoder, BitEncoder, CodedPart
 from ...errors import Corrupt
 from ...typing import Bytes, Floats, Integers, YCoCg
 from ..clouds.raw_frames import Cloud, no_points
@@ -72,21 +72,46 @@ class LocatedPoints(NamedTuple):
     positions: Floats
 
 
-class CodedPlaces(NamedTuple):
-    """The places of a chunk's points as bytes, and what their colours are coded from. head: what follows the steps of
-    colours. ends: bytes of the octrees after each frame with points, about. references: of each frame. sources: the
-    lattice points of all frames, as they were chosen.
+class CodedFrame(NamedTuple):
+    """A frame whose places are coded. source: its lattice points, as they were chosen. located: None without points.
+    octrees_size: whole bytes of the octrees up to this frame. part: of the octrees, if the encoder keeps its bits.
     """
 
-    depth: int
-    head: bytes
-    octrees: bytes
-    ends: list[int]
-    frames: list[LocatedPoints]
-    table: SampleTable
-    references: list[Reference]
-    sources: list[LatticeFrame]
+    source: LatticeFrame
+    located: LocatedPoints | None
+    octrees_size: int
+    part: CodedPart | None
+
+    def colours(self) -> YCoCg:
+        """The colours (n, 3) of a coloured frame, YCoCg."""
+        assert self.source.colours is not None
+        return point_colours.ycocg_from_rgb(self.source.colours)
+
+
+class PlacesPart(NamedTuple):
+    """What is stored of the places of a chunk's points. The fields are those of `PointsHeader`; references: of each
+    frame. octrees: their bytes.
+    """
+
     kind: int
+    grid: LatticeGrid
+    counts: list[int]
+    shifts: list[int]
+    pose_shifts: list[int]
+    references: list[Reference]
+    octrees: bytes
+
+
+class CodedPlaces(NamedTuple):
+    """The places of a chunk's points, and what their colours are coded from. table: samples of the bodies."""
+
+    part: PlacesPart
+    table: SampleTable
+    frames: list[CodedFrame]
+
+    def filled(self) -> list[tuple[CodedFrame, LocatedPoints]]:
+        """The frames with points."""
+        return [(frame, frame.located) for frame in self.frames if frame.located is not None]
 
 
 class PointsHeader(NamedTuple):
@@ -132,53 +157,79 @@ class PointsHeader(NamedTuple):
             raise Corrupt(f"bodycast: {sum(self.counts)} points in {size} bytes")
 
 
-def pack_places(
-    grid: LatticeGrid,
-    frames: Sequence[LatticeFrame],
-    bodies: ChunkBodies,
-    bound_m: float | None,
-) -> CodedPlaces:
-    """bound_m: within which points take other cells (`point_choice`) and move to the surface; None: they stay. The
-    octrees of bodies are those of `cube_octree`.
+class PlacesEncoder:
+    """Codes the places of a chunk's points, frame by frame; the inverse is `PlacesDecoder`. table: the samples of the
+    bodies.
     """
-    kind = LEARNED if bound_m is None else CUBED if bodies.textures else SMOOTHED
-    shifts = [texture.shift for texture in bodies.textures]
-    values = [bodies.pose_values(k) for k in range(len(frames))]
-    pose_shifts = [[rounding_shift(v) for v in of_frame] for of_frame in values]
-    coder, located, ends = BitEncoder(), list[LocatedPoints](), list[int]()
-    scene = Scene(bodies, shifts, learns=True, smooths=kind != LEARNED)
-    earlier, choice, references, sources = EarlierFrames(), ReferenceChoice(), list[Reference](), list[LatticeFrame]()
-    for k, frame in enumerate(frames):
-        reference, source = NO_REFERENCE, frame
-        if len(frame.codes):
-            octree_of_frame = _OctreeOfFrame(kind, scene, grid, k, values[k], pose_shifts[k], earlier)
-            source = octree_of_frame.chosen(frame, bound_m)
-            coder, reference, points = octree_of_frame.encode(coder, source, bound_m, choice)
-            located.append(points)
-            ends.append(coder.size)
-        references.append(reference)
-        sources.append(source)
-    head = varint.write([varint.signed(v) for v in grid.corner.tolist()]) + struct.pack("<d", grid.step_m)
-    head += varint.write([*(len(f.codes) for f in sources), *shifts, *(s for row in pose_shifts for s in row)])
-    return CodedPlaces(grid.depth, head, coder.finish(), ends, located, scene.table, references, sources, kind)
+
+    def __init__(
+        self,
+        grid: LatticeGrid,
+        frames: Sequence[LatticeFrame],
+        bodies: ChunkBodies,
+        bound_m: float | None,
+        keeps_bits: bool = False,
+    ) -> None:
+        """bound_m: within which points take other cells (`point_choice`) and move to the surface; None: they stay. The
+        octrees of bodies are those of `cube_octree`. keeps_bits: whether frames have a part for `BitCheck`.
+        """
+        self._kind = LEARNED if bound_m is None else CUBED if bodies.textures else SMOOTHED
+        self._grid, self._frames, self._bound_m, self._keeps_bits = grid, frames, bound_m, keeps_bits
+        self._shifts = [texture.shift for texture in bodies.textures]
+        self._values = [bodies.pose_values(k) for k in range(len(frames))]
+        self._pose_shifts = [[rounding_shift(v) for v in of_frame] for of_frame in self._values]
+        self._coder, self._choice = BitEncoder(keeps_bits), ReferenceChoice()
+        self._scene = Scene(bodies, self._shifts, learns=True, smooths=self._kind != LEARNED)
+        self._earlier, self._counts, self._references = EarlierFrames(), list[int](), list[Reference]()
+        self.table = self._scene.table
+
+    def frames(self) -> Iterator[CodedFrame]:
+        """Each frame after it is coded."""
+        for k, frame in enumerate(self._frames):
+            source, reference, located = self._code(k, frame) if len(frame.codes) else (frame, NO_REFERENCE, None)
+            self._counts.append(len(source.codes))
+            self._references.append(reference)
+            yield CodedFrame(source, located, self._coder.size, self._coder.take() if self._keeps_bits else None)
+
+    def _code(self, k: int, frame: LatticeFrame) -> tuple[LatticeFrame, Reference, LocatedPoints]:
+        octree_of_frame = _OctreeOfFrame(
+            self._kind, self._scene, self._grid, k, self._values[k], self._pose_shifts[k], self._earlier
+        )
+        source = octree_of_frame.chosen(frame, self._bound_m)
+        self._coder, reference, located = octree_of_frame.encode(self._coder, source, self._bound_m, self._choice)
+        return source, reference, located
+
+    def part(self) -> PlacesPart:
+        """What is stored, after the last frame."""
+        pose_shifts = [shift for of_frame in self._pose_shifts for shift in of_frame]
+        octrees = self._coder.finish()
+        return PlacesPart(self._kind, self._grid, self._counts, self._shifts, pose_shifts, self._references, octrees)
 
 
-def pack_colours(coded: CodedPlaces, colours: Sequence[Bytes], steps: ColourSteps) -> tuple[bytes, list[Bytes]]:
-    """The bytes of the colours (n, 3) of each frame with points, and the decoded colours."""
+def pack_places(
+    grid: LatticeGrid, frames: Sequence[LatticeFrame], bodies: ChunkBodies, bound_m: float | None
+) -> CodedPlaces:
+    """The places of all frames of a chunk. bound_m: as in `PlacesEncoder`."""
+    encoder = PlacesEncoder(grid, frames, bodies, bound_m)
+    coded = list(encoder.frames())
+    return CodedPlaces(encoder.part(), encoder.table, coded)
+
+
+def pack_colours(coded: CodedPlaces, steps: ColourSteps) -> tuple[bytes, list[Bytes]]:
+    """The bytes of the colours of all frames, and the decoded colours (n, 3) of each frame with points."""
     coder, memory = BitEncoder(), ColoursOfChunk(coded.table, steps)
-    decoded = [
-        memory.code(coder, point_colours.ycocg_from_rgb(own), located)
-        for own, located in zip(colours, coded.frames, strict=True)
-    ]
+    decoded = [memory.code(coder, frame.colours(), located) for frame, located in coded.filled()]
     return coder.finish(), decoded
 
 
-def join(coded: CodedPlaces, steps: ColourSteps | None, colours: bytes) -> bytes:
+def join(places: PlacesPart, steps: ColourSteps | None, colours: bytes) -> bytes:
     """The part of a chunk. steps: None without colours."""
-    refers = any(reference != NO_REFERENCE for reference in coded.references)
-    before = varint.write([REFERRED]) + reference_points.pack_references(coded.references) if refers else b""
-    kind = varint.write([coded.kind, coded.depth, *((0, 0) if steps is None else steps)])
-    return before + kind + coded.head + varint.write([len(coded.octrees)]) + coded.octrees + colours
+    grid, refers = places.grid, any(reference != NO_REFERENCE for reference in places.references)
+    before = varint.write([REFERRED]) + reference_points.pack_references(places.references) if refers else b""
+    kind = varint.write([places.kind, grid.depth, *((0, 0) if steps is None else steps)])
+    lattice_points = varint.write([varint.signed(v) for v in grid.corner.tolist()]) + struct.pack("<d", grid.step_m)
+    numbers = varint.write([*places.counts, *places.shifts, *places.pose_shifts, len(places.octrees)])
+    return before + kind + lattice_points + numbers + places.octrees + colours
 
 
 def unpack_points(data: bytes, frames: int, bodies: ChunkBodies, coloured: bool) -> Iterator[Cloud]:

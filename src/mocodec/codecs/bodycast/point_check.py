@@ -1,0 +1,104 @@
+"""The check of coded points: every bit is decoded from the bytes, and the distances of all points are measured.
+
+    frames as they are coded ─`BitCheck`─► all bits equal ─┐
+    part of the chunk ─► header equal, streams equal ──────┴─► decoded points equal the coded ones
+    coded points ─► distances ≤ bound
+
+`ChunkCheck` follows the encoder. Whatever else a decoder computes is a function of the header, the bodies and earlier
+bits, so it is shared: while all of these are equal, it decodes the points of the encoder. `check_decoded` decodes the
+part of a chunk by itself, for encoders that keep no bits.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from ...entropy.bit_arrays import BitCheck, CodedPart
+from ...errors import CannotEncode, Corrupt
+from ...typing import Bytes
+from .colour_lifting import ColourSteps
+from .point_layer import CodedFrame, CodedPlaces, PlacesPart, PointsHeader, split_references, unpack_points
+from .point_scene import ChunkBodies
+
+DIFFERENT = "bodycast: the decoded points are not those that were coded"
+
+
+class ChunkCheck:
+    """Checks a chunk while its frames are coded. Its methods raise CannotEncode."""
+
+    def __init__(self, bound_m: float) -> None:
+        self._bound_m = bound_m
+        self._places, self._colours = BitCheck(), BitCheck()
+
+    def follow_places(self, frame: CodedFrame) -> None:
+        """Check the next frame: its places, and the distances of its points."""
+        assert frame.part is not None
+        _follow(self._places, frame.part)
+        require_bound(frame, self._bound_m)
+
+    def follow_colours(self, part: CodedPart) -> None:
+        """Check the colours of the next frame."""
+        _follow(self._colours, part)
+
+    def finish(self, part: bytes, places: PlacesPart, steps: ColourSteps | None, bodies: ChunkBodies) -> None:
+        """Check the part of the chunk after its last frame. steps: None without colours."""
+        try:
+            header, octrees, colours = _split(part, places, bodies, steps is not None)
+            if not _is_header_of(header, places, steps):
+                raise CannotEncode(DIFFERENT)
+            self._places.finish(octrees)
+            self._colours.finish(colours)
+        except Corrupt as error:
+            raise CannotEncode(DIFFERENT) from error
+
+
+def _follow(check: BitCheck, part: CodedPart) -> None:
+    try:
+        check.follow(part)
+    except Corrupt as error:
+        raise CannotEncode(DIFFERENT) from error
+
+
+def _split(part: bytes, places: PlacesPart, bodies: ChunkBodies, coloured: bool) -> tuple[PointsHeader, bytes, bytes]:
+    """What a decoder reads from the part: the header, the bytes of the octrees, and those of the colours."""
+    data, references = split_references(part, len(bodies.is_absent))
+    if references != places.references:
+        raise CannotEncode(DIFFERENT)
+    poses = int((~bodies.is_absent).sum())
+    header = PointsHeader.read(data, len(bodies.is_absent), len(bodies.textures), poses, coloured)
+    return header, data[header.octrees], data[header.octrees.stop :]
+
+
+def _is_header_of(header: PointsHeader, places: PlacesPart, steps: ColourSteps | None) -> bool:
+    grid, coded = header.grid, places.grid
+    return (
+        (grid.step_m, grid.corner.tolist(), grid.depth) == (coded.step_m, coded.corner.tolist(), coded.depth)
+        and (header.kind, header.steps) == (places.kind, [0, 0] if steps is None else [*steps])
+        and (header.counts, header.shifts, header.pose_shifts) == (places.counts, places.shifts, places.pose_shifts)
+    )
+
+
+def require_bound(frame: CodedFrame, bound_m: float) -> None:
+    """Raises CannotEncode for a frame with points farther from their decoded points."""
+    located = frame.located
+    if located is not None and frame.source.own_distances(located.positions).max() > bound_m:
+        raise CannotEncode(f"bodycast cannot bound the error of these points by {bound_m * 1000:g} mm")
+
+
+def check_decoded(
+    part: bytes, coded: CodedPlaces, colours: Sequence[Bytes] | None, bodies: ChunkBodies, bound_m: float
+) -> None:
+    """Decodes a chunk, compares its points and colours with the coded ones, and measures all points. Raises
+    CannotEncode. colours (n, 3): as they decode, of each frame with points; None without colours.
+    """
+    decoded = unpack_points(part, len(bodies.is_absent), bodies, colours is not None)
+    filled = (cloud for cloud in decoded if len(cloud[0]))
+    expected = zip(coded.filled(), [None] * len(coded.filled()) if colours is None else colours, strict=True)
+    for ((_, located), colour), (points, own) in zip(expected, filled, strict=True):
+        same = np.array_equal(points, located.positions)
+        if not same or (colour is not None and not np.array_equal(colour, np.asarray(own))):
+            raise CannotEncode(DIFFERENT)
+    for frame in coded.frames:
+        require_bound(frame, bound_m)
