@@ -28,6 +28,7 @@ from .encoded import Chunk, Encoded
 from .errors import BadInput, CannotEncode, Corrupt
 from .formats.blocks import Blocks
 from .motion import Motion
+from .selection import counted
 
 SAMPLED_SECONDS, MOST_SAMPLED = 300.0, 1 << 20
 """Length of the sample that the model is fitted to, in seconds, and its size in samples (frames × points), at most."""
@@ -110,10 +111,19 @@ def _checked(blocks: Iterable[Motion]) -> Iterator[Motion]:
         first = block if first is None else first
         same = (block.names, block.rate, block.up) == (first.names, first.rate, first.up)
         if not same or (block.rotations is None) != (first.rotations is None):
-            raise BadInput(f"block {number} has other points, rotations, rate or vertical axis than the first")
+            raise BadInput(
+                f"block {number} has {_of_block(block)}, the first {_of_block(first)}: names of points, "
+                "rotations, rate and vertical axis are the same in all blocks"
+            )
         if len(block):
             block = replace(block, extras={}) if block.extras else block
             yield block if is_ours else _copied(block)
+
+
+def _of_block(block: Motion) -> str:
+    """What all blocks of a recording share, in words."""
+    rotations = "no rotations" if block.rotations is None else "rotations"
+    return f"{counted(block.points, 'point')}, {rotations}, {block.rate:g} Hz, {block.up} up"
 
 
 def _copied(block: Motion) -> Motion:

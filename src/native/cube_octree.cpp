@@ -5,6 +5,7 @@
 
 #include <cstring>
 #include <optional>
+#include <type_traits>
 
 #include "near_cubes.h"
 #include "octree_coding.h"
@@ -38,26 +39,28 @@ struct Cubes {
     std::vector<std::array<int32_t, 6>> neighbours{{1, 1, 1, 1, 1, 1}};
     std::vector<uint8_t> known{0, 0};
     std::vector<int32_t> nearest{NOWHERE};
+    std::vector<int32_t> first;  // of each cube of the level above, the first child
 
     size_t size() const { return codes.size(); }
 
-    // The cubes of the next level.
-    Cubes next() const {
-        const int32_t end = int32_t(occupied_octants(known));
-        std::vector<int32_t> first(size() + 1, 0);
-        for (size_t i = 0; i < size(); ++i) first[i + 1] = first[i] + bits_of(known[i]);
-        Cubes below;
-        below.codes.resize(size_t(end));
-        below.places.resize(size_t(end));
-        below.neighbours.resize(size_t(end));
-        below.nearest.resize(size_t(end));
-        below.known.assign(size_t(end) + 1, 0);
+    // The cubes of the next level, in the memory of other cubes. is_last: there is none after it, so only codes and samples are needed.
+    void find_next(Cubes &below, bool is_last) const {
+        const size_t count = occupied_octants(known);
+        const int32_t end = int32_t(count);
+        below.first.resize(size() + 1);
+        for (size_t i = 0, row = 0; i < size(); row += size_t(bits_of(known[i])), ++i) below.first[i] = int32_t(row);
+        below.codes.resize(count);
+        below.nearest.resize(count);
+        below.places.resize(is_last ? 0 : count);
+        below.neighbours.resize(is_last ? 0 : count);
+        below.known.assign(count + 1, 0);
         size_t row = 0;
         for (size_t i = 0; i < size(); ++i)
-            for (int octant = 0; octant < 8; ++octant) {
-                if (!(known[i] >> octant & 1)) continue;
+            for (unsigned left = known[i]; left; left &= left - 1, ++row) {
+                const int octant = lowest_bit(left);
                 below.codes[row] = codes[i] << 3 | uint64_t(octant);
                 below.nearest[row] = nearest[i];
+                if (is_last) continue;
                 for (int axis = 0; axis < 3; ++axis) {
                     const int bit = octant >> axis & 1, other = octant ^ 1 << axis;
                     below.places[row][size_t(axis)] = 2 * places[i][size_t(axis)] + bit;
@@ -65,12 +68,10 @@ struct Cubes {
                         const size_t parent = bit != side ? i : size_t(neighbours[i][size_t(2 * axis + side)]);
                         const unsigned mask = known[parent];
                         below.neighbours[row][size_t(2 * axis + side)] =
-                            mask >> other & 1 ? first[parent] + bits_of(mask & ((1u << other) - 1)) : end;
+                            mask >> other & 1 ? below.first[parent] + bits_of(mask & ((1u << other) - 1)) : end;
                     }
                 }
-                ++row;
             }
-        return below;
     }
 };
 
@@ -78,6 +79,11 @@ struct Cubes {
 // occupied [0], and when one is [1]; classes of their distances.
 struct Expected {
     uint8_t narrow[2][8], wide[2][8], distance[8];
+};
+
+// Where the surface passes a cube: its distance from the plane of the cube's sample, and the variance.
+struct SurfaceInCube {
+    int64_t offset, variance;
 };
 
 // Estimates the surface within the cubes of a level. Lengths are in subunits.
@@ -90,7 +96,6 @@ public:
           far_(cubes.size(), 0), shown_by_(cubes.size(), NOWHERE), samples_(cubes.size()) {
         int64_t known = 0, sum = 0;
         for (size_t i = 0; i < cubes.size(); ++i) {
-            samples_[i].fill(0);
             if (cubes.nearest[i] < 0) continue;
             far_[i] = std::clamp(surface.distance(centre(i), cubes.nearest[i]), -LARGEST_DISTANCE, LARGEST_DISTANCE);
             ++known;
@@ -108,14 +113,21 @@ public:
             classify_samples(surface, cubes.codes, level, [&](size_t i, size_t octant, uint8_t kind) { samples_[i][octant] = kind; });
     }
 
-    // Contexts of the `COUNT` children (8, or 2 on the last level) of cube i, which has a sample.
+    // Distance from the plane of cube i's sample to the estimated surface, and its variance. The cube has a sample.
+    SurfaceInCube find_surface(size_t i) const {
+        SurfaceAround around;
+        if (!near_.find(cubes_.nearest[i], centre(i), far_[i], around)) around = distant_surface(i);
+        const int64_t spread = USUAL_WEIGHT * usual_ + around.spread;
+        const int64_t deviation = std::min(floor_quotient(spread, around.total + USUAL_WEIGHT), LARGEST_DEVIATION);
+        return {around.offset, std::max((166 * deviation * deviation >> 8) - 4 * side_ * side_ / 20, LEAST_VARIANCE)};
+    }
+
+    // Contexts of the `COUNT` children (8, or 2 on the last level) of cube i, from the surface in it.
     template <int COUNT>
-    void expect(size_t i, Expected &of) const {
-        const int32_t own = cubes_.nearest[i];
-        int64_t offset, variance;
+    void expect(size_t i, const SurfaceInCube &surface, Expected &of) const {
+        const int64_t variance = surface.variance;
         double away[COUNT], magnitudes[COUNT], sides[COUNT], odds[2][COUNT];
-        find_surface(i, offset, variance);
-        find_distances<COUNT>(i, own, offset, away);
+        find_distances<COUNT>(i, cubes_.nearest[i], surface.offset, away);
         const double per_quarter = 4.0 / double(side_), last = CLASSES - 1;
         for (int k = 0; k < COUNT; ++k) magnitudes[k] = std::abs(away[k]);
         for (int k = 0; k < COUNT; ++k) sides[k] = magnitudes[k] * per_quarter < last ? magnitudes[k] * per_quarter : last;
@@ -142,11 +154,11 @@ public:
         shown.children = bits_of(known);
         for (size_t d = 0; d < 3; ++d)
             shown.place[d] = corner_of(cubes_.places[i][d]) + share_[size_t(shown.children)][size_t(bits_of(known & UPPER[d]))];
-        const size_t sample = size_t(cubes_.nearest[i]);
-        near_.put(sample, size_t(row - first_shown_[sample]), shown.place, least_[size_t(shown.children)]);
+        near_.put(size_t(row), size_t(cubes_.nearest[i]), shown.place, least_[size_t(shown.children)]);
     }
 
-    int samples(size_t i, int octant) const { return samples_[i][size_t(octant)]; }
+    // Classes of the numbers of samples in the children of cube i.
+    const std::array<uint8_t, 8> &samples(size_t i) const { return samples_[i]; }
 
 private:
     // A cube's observation of the surface: its centre, or that of its children if some are known.
@@ -210,16 +222,6 @@ private:
         add(own, true);
         for (int k = 0; k < NEIGHBOURS; ++k) add(around[k], around[k] != own);
         return count;
-    }
-
-    // Distance from the plane of cube i's sample to the estimated surface, and its variance.
-    void find_surface(size_t i, int64_t &offset, int64_t &variance) const {
-        SurfaceAround around;
-        if (!near_.find(cubes_.nearest[i], centre(i), far_[i], around)) around = distant_surface(i);
-        offset = around.offset;
-        const int64_t spread = USUAL_WEIGHT * usual_ + around.spread;
-        const int64_t deviation = std::min(floor_quotient(spread, around.total + USUAL_WEIGHT), LARGEST_DEVIATION);
-        variance = std::max((166 * deviation * deviation >> 8) - 4 * side_ * side_ / 20, LEAST_VARIANCE);
     }
 
     // What is around cube i, wherever that lies.
@@ -332,6 +334,19 @@ private:
     const std::array<int, CLASSES> steps_ = distance_classes();
 };
 
+// What the contexts of a cube's bits are made of. around: for each octant, of the cubes beside; filled: class of the number of these.
+struct CubeContexts {
+    Expected expected;
+    std::array<uint8_t, 8> samples;
+    uint8_t around[8];
+    int filled, tall, first_set;  // of the weight sets
+};
+
+struct Bit {
+    uint32_t counters[bits::INPUTS], set;
+    int is_occupied;
+};
+
 class Tree {
 public:
     Tree(int depth, const Surface *surface, const int32_t *bell) : depth_(depth), surface_(surface), bell_(bell) {
@@ -353,7 +368,8 @@ public:
                 failed_cubes = count;
                 return false;
             }
-            cubes_ = cubes_.next();
+            cubes_.find_next(below_, level == depth_ - 1);
+            std::swap(cubes_, below_);
         }
         return true;
     }
@@ -375,77 +391,132 @@ private:
     // COUNT: number of octants of a cube that can be occupied.
     template <int COUNT, class Coder>
     void code_cubes(Coder &coder, int level, size_t points, const uint8_t *occupied) {
-        Expected of;
-        if (!surface_) {
-            set_unknown(of);
-            for (size_t i = 0; i < cubes_.size(); ++i) code_cube<COUNT>(coder, i, level, 0, of, nullptr, occupied);
-            return;
+        std::optional<Passage> passage;
+        if (surface_) {
+            surface_->attach(cubes_.places, level, cubes_.nearest);
+            passage.emplace(*surface_, cubes_, *near_, level, points, bell_);
         }
-        surface_->attach(cubes_.places, level, cubes_.nearest);
-        Passage passage(*surface_, cubes_, *near_, level, points, bell_);
-        for (size_t i = 0; i < cubes_.size(); ++i) {
-            const bool is_near = cubes_.nearest[i] >= 0;
-            if (is_near)
-                passage.expect<COUNT>(i, of);
-            else
-                set_unknown(of);
-            code_cube<COUNT>(coder, i, level, 1 + is_near, of, &passage, occupied);
-            if (is_near) passage.learn(i);
+        Passage *const known = passage ? &*passage : nullptr;
+        if constexpr (std::is_same_v<Coder, bit_arrays::BitArrayEncoder>)
+            encode_cubes<COUNT>(coder, level, known, occupied);
+        else
+            for (size_t i = 0; i < cubes_.size(); ++i) decode_cube<COUNT>(coder, i, level, known);
+    }
+
+    // The encoder knows all bits. So it takes each step for many cubes, which need not wait for one another.
+    template <int COUNT>
+    void encode_cubes(bit_arrays::BitArrayEncoder &coder, int level, Passage *passage, const uint8_t *occupied) {
+        SurfaceInCube surfaces[BATCH];
+        CubeContexts contexts[BATCH];
+        Bit bits[BATCH * COUNT];
+        for (size_t first = 0; first < cubes_.size(); first += BATCH) {
+            const size_t count = std::min(BATCH, cubes_.size() - first);
+            for (size_t k = 0; k < count; ++k) {
+                cubes_.known[first + k] = possible<COUNT>(occupied[first + k]);
+                if (!has_surface(passage, first + k)) continue;
+                surfaces[k] = passage->find_surface(first + k);
+                passage->learn(first + k);
+            }
+            for (size_t k = 0; k < count; ++k) find_contexts<COUNT>(first + k, level, passage, surfaces[k], contexts[k]);
+            Bit *end = bits;
+            for (size_t k = 0; k < count; ++k) {
+                const unsigned all = cubes_.known[first + k];
+                unsigned known = 0;
+                for (int place = 0; place < COUNT && !is_certain<COUNT>(place, known); ++place) {
+                    const unsigned octant = 1u << octant_of<COUNT>(place);
+                    find_bit<COUNT>(contexts[k], place, known, *end);
+                    end->is_occupied = (all & octant) != 0;
+                    coder.fetch(end++->counters);
+                    known |= all & octant;
+                }
+            }
+            for (const Bit *bit = bits; bit < end; ++bit) coder.code_with(bit->counters, bit->set, bit->is_occupied);
         }
     }
 
-    static void set_unknown(Expected &of) {
-        std::memset(&of, NO_HINT, sizeof of);
-        std::memset(of.distance, FAR, sizeof of.distance);
+    template <int COUNT>
+    void decode_cube(bit_arrays::BitArrayDecoder &coder, size_t i, int level, Passage *passage) {
+        CubeContexts contexts;
+        const bool is_near = has_surface(passage, i);
+        find_contexts<COUNT>(i, level, passage, is_near ? passage->find_surface(i) : SurfaceInCube{}, contexts);
+        Bit next[2];  // after a 0 and after a 1
+        const auto fetch = [&](int place, int bit, unsigned known) {
+            find_bit<COUNT>(contexts, place, known, next[bit]);
+            coder.fetch(next[bit].counters);
+        };
+        unsigned known = 0;
+        int bit = 0;
+        fetch(0, 0, 0);
+        for (int place = 0; place < COUNT; ++place) {
+            const int octant = octant_of<COUNT>(place);
+            if (is_certain<COUNT>(place, known)) {
+                known = 1u << octant;
+                break;
+            }
+            const Bit own = next[bit];
+            if (place < COUNT - 1) {
+                fetch(place + 1, 0, known);
+                fetch(place + 1, 1, known | 1u << octant);
+            }
+            bit = coder.code_with(own.counters, own.set, 0);
+            known |= unsigned(bit) << octant;
+        }
+        cubes_.known[i] = uint8_t(known);
+        if (is_near) passage->learn(i);
     }
+
+    bool has_surface(const Passage *passage, size_t i) const { return passage && cubes_.nearest[i] >= 0; }
 
     template <int COUNT>
     static int octant_of(int place) {
         return COUNT == 8 ? place : place * LATTICE_STEP;
     }
 
-    // hint: weight-set index of the knowledge about the surface. passage: null without a surface.
-    template <int COUNT, class Coder>
-    void code_cube(Coder &coder, size_t i, int level, int hint, const Expected &of, const Passage *passage, const uint8_t *occupied) {
-        const int height = depth_ - level, tall = std::min(height, 15);
-        uint8_t around[8];
-        const int filled = find_neighbours(i, around);
-        const auto set_counters = [&](uint32_t *counters, int place, unsigned known) {
-            const int octant = octant_of<COUNT>(place), few = MASKS.few[known], left = COUNT - 1 - place;
-            const int narrow = of.narrow[few > 0][place], wide = of.wide[few > 0][place];
-            const int beside = around[octant] | MASKS.inner[octant][known], nearby = bits_of(unsigned(beside));
-            const int samples = passage ? passage->samples(i, octant) : 0;
-            const uint32_t contexts[bits::INPUTS] = {
-                uint32_t(((octant * 4 + few) * 64 + beside) * 4 + filled),
-                uint32_t(narrow * 4 + few),
-                uint32_t((wide * 4 + few) * 16 + tall),
-                uint32_t(((of.distance[place] * 5 + samples) * 4 + few) * 16 + tall),
-                uint32_t(((narrow * 7 + nearby) * 4 + few) * 8 + left),
-            };
-            bits::Mixer::counters_of(contexts, counters);
-            coder.fetch(counters);
-        };
-        const uint32_t first_set = uint32_t(std::min(height, 20) * 12 + hint);
-        uint32_t counters[2][bits::INPUTS];  // counters of the next bit, after a 0 and after a 1
-        unsigned known = 0;
-        int bit = 0;
-        set_counters(counters[0], 0, 0);
-        for (int place = 0; place < COUNT; ++place) {
-            const int octant = octant_of<COUNT>(place);
-            if (place == COUNT - 1 && !known) {
-                known = 1u << octant;
-                break;
-            }
-            uint32_t own[bits::INPUTS];
-            std::copy_n(counters[bit], bits::INPUTS, own);
-            if (place < COUNT - 1) {
-                set_counters(counters[0], place + 1, known);
-                set_counters(counters[1], place + 1, known | 1u << octant);
-            }
-            bit = coder.code_with(own, first_set + 3 * MASKS.few[known], occupied ? occupied[i] >> octant & 1 : 0);
-            known |= unsigned(bit) << octant;
+    // The octants of these that can be occupied, at least one.
+    template <int COUNT>
+    static uint8_t possible(unsigned octants) {
+        const unsigned left = COUNT == 8 ? octants : octants & (1u | 1u << LATTICE_STEP);
+        return uint8_t(left ? left : 1u << LATTICE_STEP);
+    }
+
+    // Whether the octant at this place is occupied since no other is.
+    template <int COUNT>
+    static bool is_certain(int place, unsigned known) {
+        return place == COUNT - 1 && !known;
+    }
+
+    // surface: in cube i if it has a sample. passage: null without a surface.
+    template <int COUNT>
+    void find_contexts(size_t i, int level, const Passage *passage, const SurfaceInCube &surface, CubeContexts &of) const {
+        const bool is_near = has_surface(passage, i);
+        if (is_near) {
+            passage->expect<COUNT>(i, surface, of.expected);
+        } else {
+            std::memset(&of.expected, NO_HINT, sizeof of.expected);
+            std::memset(of.expected.distance, FAR, sizeof of.expected.distance);
         }
-        cubes_.known[i] = uint8_t(known);
+        of.samples = passage ? passage->samples(i) : std::array<uint8_t, 8>{};
+        of.filled = find_neighbours(i, of.around);
+        const int height = depth_ - level;
+        of.tall = std::min(height, 15);
+        of.first_set = std::min(height, 20) * 12 + (passage ? 1 + is_near : 0);
+    }
+
+    // The bit at a place of a cube, where octants are known to be occupied.
+    template <int COUNT>
+    static void find_bit(const CubeContexts &of, int place, unsigned known, Bit &bit) {
+        const int octant = octant_of<COUNT>(place), few = MASKS.few[known], left = COUNT - 1 - place;
+        const int narrow = of.expected.narrow[few > 0][place], wide = of.expected.wide[few > 0][place];
+        const int beside = of.around[octant] | MASKS.inner[octant][known], nearby = bits_of(unsigned(beside));
+        const uint32_t contexts[bits::INPUTS] = {
+            uint32_t(((octant * 4 + few) * 64 + beside) * 4 + of.filled),
+            uint32_t(narrow * 4 + few),
+            uint32_t((wide * 4 + few) * 16 + of.tall),
+            uint32_t(((of.expected.distance[place] * 5 + of.samples[size_t(octant)]) * 4 + few) * 16 + of.tall),
+            uint32_t(((narrow * 7 + nearby) * 4 + few) * 8 + left),
+        };
+        bits::Mixer::counters_of(contexts, bit.counters);
+        bit.set = uint32_t(of.first_set + 3 * few);
     }
 
     // around (8): for each octant, the context from the cubes beside cube i. Returns the class of their number.
@@ -466,11 +537,13 @@ private:
         return std::min(filled / 2, 3);
     }
 
+    static constexpr size_t BATCH = 32;
+
     const int depth_;
     const Surface *surface_;
     const int32_t *bell_;
     std::optional<NearCubes> near_;
-    Cubes cubes_;
+    Cubes cubes_, below_;  // of a level, and of the next one while it is made
 };
 
 }  // namespace

@@ -15,7 +15,7 @@ constexpr int POSTERIORS = 64, NO_HINT = POSTERIORS, FAR = 21;
 constexpr int BELL_STEPS = 64, BELL_PER_DEVIATION = 16;
 constexpr int DISTANCE_STEPS[] = {1, 2, 3, 4, 5, 7, 9, 12, 16, 24};
 constexpr int CLASSES = 25;  // classes by quarters of a child's side; the last is for larger distances
-constexpr int SAMPLE_STEPS[] = {1, 2, 3, 5};
+constexpr size_t SAMPLE_STEPS[] = {1, 2, 3, 5};
 constexpr int LATTICE_STEP = 7;  // difference of the two octants of the last level
 
 // Number of bits set in 0 … 255.
@@ -75,21 +75,22 @@ inline std::vector<uint8_t> occupancy(const uint64_t *codes, size_t points, cons
     return masks;
 }
 
-// Calls set(cube, octant, class) for the children of a level's cubes, with the class of their number of samples.
+// Calls set(cube, octant, class) for the children of a level's cubes that hold samples, with the class of their number.
 template <class Set>
 void classify_samples(const Surface &surface, const std::vector<uint64_t> &cubes, int level, Set set) {
-    const std::vector<uint64_t> codes = surface.sample_codes(level + 1);
-    size_t at = 0;
-    for (size_t i = 0; i < cubes.size(); ++i)
-        for (uint64_t octant = 0; octant < 8; ++octant) {
-            const uint64_t child = cubes[i] << 3 | octant;
-            while (at < codes.size() && codes[at] < child) ++at;
-            int count = 0;
-            for (; at < codes.size() && codes[at] == child; ++at) ++count;
-            uint8_t kind = 0;
-            for (int most : SAMPLE_STEPS) kind = uint8_t(kind + (count >= most));
-            set(i, size_t(octant), kind);
-        }
+    const std::vector<uint64_t> &codes = surface.sample_codes();
+    const int below = 3 * (surface.depth() - level - 1);
+    size_t cube = 0;
+    for (size_t first = 0, end = 0; first < codes.size(); first = end) {
+        const uint64_t child = codes[first] >> below;
+        while (end < codes.size() && codes[end] >> below == child) ++end;
+        while (cube < cubes.size() && cubes[cube] < child >> 3) ++cube;
+        if (cube == cubes.size()) return;
+        if (cubes[cube] != child >> 3) continue;
+        uint8_t kind = 0;
+        for (size_t least : SAMPLE_STEPS) kind = uint8_t(kind + (end - first >= least));
+        set(cube, size_t(child & 7), kind);
+    }
 }
 
 // Python's functions of a Tree, which has `code`, `failed_level`, `failed_cubes`, and `points` with codes and samples.

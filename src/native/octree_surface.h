@@ -20,6 +20,7 @@
 
 #include "arrays.h"
 #include "integers.h"
+#include "key_order.h"
 
 namespace point_octree {
 
@@ -134,19 +135,20 @@ public:
     static constexpr int64_t LARGEST = 3300;
 
     void take(const std::vector<Place> &points, const std::vector<int32_t> &neighbours) {
-        reach_.assign(points.size(), 0);
+        reach_.resize(points.size());
         offsets_.resize(points.size() * 3 * NEIGHBOURS);
-        for (size_t i = 0; i < points.size(); ++i)
+        for (size_t i = 0; i < points.size(); ++i) {
+            const Place own = points[i];
+            int16_t *to = &offsets_[3 * NEIGHBOURS * i];
+            int64_t reach = 0;
             for (size_t k = 0; k < NEIGHBOURS; ++k) {
                 const Place &other = points[size_t(neighbours[i * NEIGHBOURS + k])];
-                int16_t *to = &offsets_[3 * NEIGHBOURS * i];
-                int64_t apart[3];
-                for (size_t d = 0; d < 3; ++d) {
-                    apart[d] = other[d] - points[i][d];
-                    reach_[i] = int32_t(std::min<int64_t>(std::max<int64_t>(reach_[i], std::abs(apart[d])), LARGEST + 1));
-                }
-                to[2 * k] = int16_t(apart[0]), to[2 * k + 1] = int16_t(apart[1]), to[2 * NEIGHBOURS + k] = int16_t(apart[2]);
+                const int64_t x = other[0] - own[0], y = other[1] - own[1], z = other[2] - own[2];
+                reach = std::max({reach, std::abs(x), std::abs(y), std::abs(z)});
+                to[2 * k] = int16_t(x), to[2 * k + 1] = int16_t(y), to[2 * NEIGHBOURS + k] = int16_t(z);
             }
+            reach_[i] = int32_t(std::min(reach, LARGEST + 1));
+        }
     }
 
     // The largest difference of a coordinate from the samples around sample `row`, LARGEST + 1 for all that are larger.
@@ -304,12 +306,8 @@ public:
         return int64_t(sum) >> NORMAL_BITS;
     }
 
-    // Sorted codes of a level's cells that contain the samples within the octree.
-    std::vector<uint64_t> sample_codes(int level) const {
-        std::vector<uint64_t> result(codes_.size());
-        for (size_t i = 0; i < codes_.size(); ++i) result[i] = codes_[i] >> 3 * (depth_ - level);
-        return result;
-    }
+    // Sorted codes of the unit cells that contain the samples within the octree.
+    const std::vector<uint64_t> &sample_codes() const { return codes_; }
 
 private:
     // The cubes of a level, in Morton order, with the sample near each.
@@ -332,7 +330,7 @@ private:
     // Sorts samples within the octree by unit cell, then by row; others follow. So a cell of any level is a run.
     void sort_by_cell(const int64_t *points, size_t m) {
         const int64_t end = int64_t(1) << (SUBUNIT_BITS + depth_);
-        std::vector<std::pair<uint64_t, int32_t>> sorted;
+        std::vector<KeyOfRow> sorted;
         std::vector<int32_t> outside;
         sorted.reserve(m);
         for (size_t i = 0; i < m; ++i) {
@@ -344,16 +342,16 @@ private:
                 v[d] >>= SUBUNIT_BITS;
             }
             if (inside)
-                sorted.emplace_back(morton_code(v[0], v[1], v[2]), int32_t(i));
+                sorted.push_back({morton_code(v[0], v[1], v[2]), uint32_t(i)});
             else
                 outside.push_back(int32_t(i));
         }
-        std::sort(sorted.begin(), sorted.end());
+        sort_keys(sorted);
         given_rows_.reserve(m);
         codes_.reserve(sorted.size());
-        for (const auto &[code, row] : sorted) {
-            codes_.push_back(code);
-            given_rows_.push_back(row);
+        for (const KeyOfRow &own : sorted) {
+            codes_.push_back(own.key);
+            given_rows_.push_back(int32_t(own.row));
         }
         given_rows_.insert(given_rows_.end(), outside.begin(), outside.end());
         own_rows_.resize(m);

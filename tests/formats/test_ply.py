@@ -203,6 +203,21 @@ def test_a_comment_that_is_no_axis_is_no_vertical_axis(tmp_path):
         PointClouds([np.zeros((1, 3))], 5.0, up="north")
 
 
+def test_damage_among_ascii_vertices_names_what_is_there(tmp_path):
+    ascii_file(tmp_path / "f1.ply", "0 0 0 1 2 3\n1 1 1 4 x5 6")
+    with pytest.raises(BadInput, match="'x5' among its vertices is not a number"):
+        ply.read(tmp_path, fps=1)
+    ascii_file(tmp_path / "f1.ply", "0 0 0 1 2 3\n1 1 1 4 5 6 7")
+    with pytest.raises(BadInput, match="its 2 vertices have 13 numbers, not 6 each"):
+        ply.read(tmp_path, fps=1)
+
+
+def test_a_device_is_no_frame(tmp_path):
+    (tmp_path / "x.ply").symlink_to("/dev/zero")
+    with pytest.raises(BadInput, match=r"no \.ply file"):
+        ply.read(tmp_path / "x.ply", fps=1)
+
+
 def test_names_of_properties_in_upper_case(tmp_path):
     ascii_file(tmp_path / "f1.ply", "0 0 0 1 2 3\n1 1 1 4 5 6", kind="uchar")
     header, rows = (tmp_path / "f1.ply").read_text().split("end_header")

@@ -145,7 +145,7 @@ def _decode(cursor: Cursor, coder: int, size: int) -> bytes:
     packed = cursor.blob()
     if coder == RAW:
         if len(packed) != size:
-            raise cursor.corrupt("an array has the wrong number of bytes")
+            raise cursor.corrupt(f"an array has {len(packed)} bytes, not {size}")
         return packed
     return inflate(packed, size, cursor.what) if coder == DEFLATE else unlzma2(packed, size, cursor.what)
 

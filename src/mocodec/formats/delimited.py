@@ -333,7 +333,7 @@ def cells(body: list[list[str]], columns: int) -> Floats:
     """Rows of cells as numbers (rows, columns), NaN where rows are shorter. Raises BadInput."""
     widths = [len(row) for row in body]
     if len(body) * columns > 64 * sum(widths) + 4096:
-        raise BadInput(f"its rows have far fewer cells than its {columns} labels")
+        raise BadInput(f"its rows have at most {max(widths)} cells, there are {columns} labels")
     if body and max(widths) > columns:
         extra = next(row for row in body if len(row) > columns)
         if any(extra[columns:]):

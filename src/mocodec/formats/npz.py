@@ -242,7 +242,10 @@ def _clouds(arrays: Archive, rate: float | None, unit: str | float | None, up: s
     """Point clouds of the arrays points (all, 3), counts (frames,) and optionally colours and normals (all, 3)."""
     points, counts = arrays.load("points"), arrays.load("counts").reshape(-1)
     if counts.dtype.kind not in "iu" or (counts < 0).any() or int(counts.sum()) != len(points):
-        raise BadInput(f"{arrays.path}: 'counts' must be whole numbers whose sum is the {len(points)} points")
+        found = (
+            f"the sum of 'counts' is {counts.sum():,}" if counts.dtype.kind in "iuf" else f"'counts' are {counts.dtype}"
+        )
+        raise BadInput(f"{arrays.path}: 'counts' must be whole numbers for {len(points):,} points; {found}")
     if points.ndim != 2 or points.shape[1] != 3 or points.dtype.kind not in "fiu":
         raise BadInput(f"{arrays.path}: 'points' must be numbers (all, 3), not {points.dtype} {points.shape}")
     ends = np.cumsum(counts)[:-1]

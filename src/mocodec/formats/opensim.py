@@ -129,7 +129,8 @@ def numbers(rows: Sequence[Sequence[str]], columns: int) -> Floats:
                 float(text)
             except ValueError:
                 raise BadInput(f"{text!r:.40} is not a number") from None
-        raise BadInput("its rows have different numbers of cells") from None
+        wrong = next(number for number, row in enumerate(rows, 1) if len(row) != columns)
+        raise BadInput(f"row {wrong} of its numbers has {len(rows[wrong - 1])} cells, not {columns}") from None
 
 
 def _check_counts(

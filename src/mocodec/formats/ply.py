@@ -258,7 +258,7 @@ def frame_files(path: str | PathLike[str]) -> list[Path]:
     elif Path(text).is_file():
         files = [Path(text)]
     else:
-        files = [Path(p) for p in glob.glob(text) if p.lower().endswith(".ply")]
+        files = [Path(p) for p in glob.glob(text) if p.lower().endswith(".ply") and Path(p).is_file()]
     if not files:
         raise BadInput(f"{text}: no .ply file there")
     return sorted(files, key=lambda p: [int(s) if i % 2 else s for i, s in enumerate(re.split(r"([0-9]+)", p.name))])
@@ -333,11 +333,12 @@ def ascii_vertices(body: bytes, skip_lines: int, vertex: Element, path: Path) ->
     try:
         flat = np.array(b" ".join(lines).split(), dtype=np.float64)
     except ValueError:
-        raise BadInput(f"{path}: a vertex that is not a number") from None
+        wrong = next(token for token in b" ".join(lines).split() if not _is_number(token))
+        raise BadInput(f"{path}: {wrong.decode('latin-1')!r:.40} among its vertices is not a number") from None
     if flat.size < vertex.size * width:
         raise Truncated(f"{path}: ends before its {vertex.size} vertices")
     if flat.size != vertex.size * width:
-        raise BadInput(f"{path}: vertices with more than {width} values")
+        raise BadInput(f"{path}: its {vertex.size} vertices have {flat.size} numbers, not {width} each")
     values = np.empty(vertex.size, record(vertex, "<"))
     for (name, kind), column in zip(vertex.fields, flat.reshape(vertex.size, width).T, strict=True):
         if kind[0] in "iu":
@@ -346,6 +347,14 @@ def ascii_vertices(body: bytes, skip_lines: int, vertex: Element, path: Path) ->
                 raise BadInput(f"{path}: {name} is outside the range of its type")
         values[name] = column.astype(kind)
     return values
+
+
+def _is_number(token: bytes) -> bool:
+    try:
+        float(token)
+    except ValueError:
+        return False
+    return True
 
 
 def parse_header(data: bytes, path: Path) -> Header:

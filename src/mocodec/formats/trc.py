@@ -231,8 +231,10 @@ def _salvaged(header: _Header, body: _Body, is_cut_in_line: bool, notes: list[st
 def _rows(header: _Header, body: _Body, path: str, notes: list[str]) -> tuple[tuple[str, ...], Floats, int]:
     """Names of the markers, the numbers of all rows (rows, 2 + 3 · markers), and decimals of the time column."""
     rows = [line.rstrip("\t ").split("\t") if body.tabs else line.split() for line in body.rows]
-    if not body.tabs and len(set(map(len, rows))) > 1:
-        raise BadInput("its columns are separated by spaces and differ in number, so gaps cannot be located")
+    widths = set(map(len, rows))
+    if not body.tabs and len(widths) > 1:
+        found = f"{min(widths)} to {max(widths)} cells separated by spaces"
+        raise BadInput(f"its rows have {found}, which differ in number, so gaps cannot be located")
     declared = header.markers or 0
     width = max(map(len, rows), default=2)
     if stray := _stray_columns(rows, 3 * len(_marker_names(body, 2)), width):
@@ -306,7 +308,9 @@ def _table(rows: list[list[str]], columns: int, path: str) -> Floats:
                 row[column] = EMPTY_CELL
     table = numbers("\t".join("\t".join(row) for row in rows), path)
     if table.size != len(rows) * columns:
-        raise BadInput("a cell holds more than one number")
+        raise BadInput(
+            f"a cell holds more than one number: {table.size} numbers in {len(rows)} rows of {columns} cells"
+        )
     table[table == float(EMPTY_CELL)] = np.nan
     return table.reshape(len(rows), columns)
 

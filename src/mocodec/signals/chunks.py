@@ -373,8 +373,9 @@ def _values(record: _Record, form: Form, integers: tuple[Integers, Integers], dt
     whole, extra = integers
     if form.kind == GRID and len(whole):
         widths = forms.extra_widths(form, whole, dtype)
-        if (int(widths.sum()) + 7) // 8 != len(record.lower):
-            raise Corrupt("a chunk of signals: a channel has the wrong number of lower bits")
+        expected = (int(widths.sum()) + 7) // 8
+        if expected != len(record.lower):
+            raise Corrupt(f"a chunk of signals: a channel has {len(record.lower)} bytes of lower bits, not {expected}")
         extra = bits.unpack(np.unpackbits(np.frombuffer(record.lower, np.uint8)), widths)
     values = forms.inverse(form, whole, extra, dtype)
     if not record.codes.any():

@@ -38,7 +38,10 @@ def unpack_body(data: bytes) -> tuple[Body, int]:
     """The body at the start of `data` and the position after it. Raises Corrupt."""
     (links, name_bytes, link_bytes), at = varint.read(data, 3)
     if not 0 < links <= MAX_LINKS or at + name_bytes + link_bytes > len(data):
-        raise Corrupt("the stored body is damaged: wrong number of links or bytes")
+        raise Corrupt(
+            f"the stored body is damaged: {links} links, 1 to {MAX_LINKS} expected, in {name_bytes + link_bytes} bytes "
+            f"of {len(data) - at}"
+        )
     names = inflate(data[at : at + name_bytes], MAX_NAME_BYTES).decode("utf-8", "replace").split("\n")
     at += name_bytes
     rows = coder.unpack(data[at : at + link_bytes], (links, 8))

@@ -102,7 +102,10 @@ def unpack_model(shared: Sequence[bytes]) -> tuple[CylinderTemplate, ResidualFor
     if residual > 100 * RESIDUAL_SCALE or flags > COLOURED + DEPTH_BY_CELL:
         raise Corrupt("lien2006: the model is damaged: wrong share of residuals or unknown flags")
     if not 0 < count <= MAX_POINTS or sum(counts) != count:
-        raise Corrupt("lien2006: the model is damaged: wrong number of points")
+        raise Corrupt(
+            f"lien2006: the model is damaged: its cylinders have {sum(counts)} points, {count} expected of at most "
+            f"{MAX_POINTS}"
+        )
     coloured = bool(flags & COLOURED)
     differences = coder.unpack(data[at:], (count, 6 if coloured else 3))
     values = np.cumsum(np.clip(differences, -MAX_STEPS, MAX_STEPS), axis=0)
