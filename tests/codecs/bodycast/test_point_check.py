@@ -10,6 +10,7 @@ import pytest
 from mocodec.codecs.bodycast import Bodycast, point_check, point_encoder
 from mocodec.codecs.bodycast.lattice_frames import LatticeFrame
 from mocodec.codecs.bodycast.point_encoder import PointEncoder, PointTarget
+from mocodec.codecs.bodycast.point_layer import _OctreeOfFrame
 from mocodec.codecs.bodycast.point_scene import ChunkBodies
 from mocodec.entropy.bit_arrays import BitCheck, BitEncoder
 from mocodec.errors import CannotEncode, Corrupt
@@ -24,7 +25,7 @@ TARGET = PointTarget(max_error=0.004)
 @pytest.fixture(scope="module")
 def of_person() -> PointEncoder:
     """One chunk of a coloured person."""
-    performance = sequences.jumping_jacks(actors.capsules(), 2)
+    performance = sequences.jumping_jacks(actors.capsules(), 3)
     clouds = replace(sequences.record(performance, 400, seed=1), normals=None)
     made = list[PointEncoder]()
 
@@ -105,3 +106,15 @@ def test_another_header_is_refused(of_things, monkeypatch):
     monkeypatch.setattr(point_encoder, "join", lambda places, *rest: join(places._replace(kind=4), *rest))
     with pytest.raises(CannotEncode, match=point_check.DIFFERENT):
         of_things.encode(TARGET)
+
+
+@pytest.mark.parametrize("follows", [True, False])
+def test_an_encoder_that_computes_what_a_decoder_does_not_is_refused(of_things, monkeypatch, follows):
+    encode = _OctreeOfFrame.encode
+
+    def moved(self, coder, *given):
+        coder, reference, located = encode(self, coder, *given)
+        return coder, reference, located._replace(positions=located.positions + 1e-9)
+
+    monkeypatch.setattr(_OctreeOfFrame, "encode", moved)
+    assert outcome(of_things, follows) is None

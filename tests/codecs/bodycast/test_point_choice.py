@@ -9,10 +9,11 @@ import pytest
 from scipy.spatial import KDTree
 
 from mocodec import native
-from mocodec.codecs.bodycast import Bodycast, lattice_frames, octree, point_choice
+from mocodec.codecs.bodycast import Bodycast, cube_octree, lattice_frames, octree, point_choice
 from mocodec.codecs.bodycast.integer_surface import hints_of_samples, nearest_samples
 from mocodec.codecs.bodycast.lattice_frames import LatticeFrame, LatticeGrid
 from mocodec.codecs.bodycast.surface_hints import SurfaceHints
+from mocodec.entropy.bit_arrays import BitEncoder
 from mocodec.pointcloud import PointClouds
 from mocodec.testing import actors, sequences
 
@@ -58,6 +59,20 @@ def test_compiled_and_numpy_choices_are_the_same(points):
         pure = point_choice.chosen_cells(frame, grid, hints, BOUND_M)
     np.testing.assert_array_equal(compiled.codes, pure.codes)
     np.testing.assert_array_equal(compiled.rows, pure.rows)
+
+
+def test_octrees_are_the_same_with_and_without_samples_of_the_choice():
+    """The choice leaves samples near cubes in the surface that an octree of the same frame takes."""
+    grid, frame, hints = _ball(1000)
+    codes = point_choice.chosen_cells(frame, grid, hints, BOUND_M).codes
+    assert not np.array_equal(codes, frame.codes)
+
+    def coded(surface: SurfaceHints) -> tuple[bytes, list[int]]:
+        coder = BitEncoder()
+        _, nearest = cube_octree.code_octree(coder, codes, grid.depth, len(codes), surface)
+        return coder.finish(), nearest.tolist()
+
+    assert coded(hints) == coded(replace(hints))
 
 
 @pytest.mark.skipif(not native.available(), reason="mocodec._native is not built, or switched off")

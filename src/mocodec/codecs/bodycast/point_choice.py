@@ -156,7 +156,8 @@ def _costs_of_classes(frequencies: Integers, bits_of_area: float) -> Integers:
     (CLASSES,): how many of those that are used each class has.
     """
     width = 2 * SMOOTHED_CLASSES + 1
-    smooth = np.convolve(np.pad(frequencies + 1.0, SMOOTHED_CLASSES, mode="edge"), np.ones(width) / width, "valid")
+    count = frequencies[np.clip(np.arange(-SMOOTHED_CLASSES, CLASSES + SMOOTHED_CLASSES), 0, CLASSES - 1)] + 1.0
+    smooth = np.convolve(count, np.ones(width) / width, "valid")
     bits = np.maximum(SHARED_BITS + bits_of_area - np.log2(smooth), 1.0)
     return np.rint(LAMBDA * UNIT**2 * np.append(bits, bits.max())).astype(np.int64)
 

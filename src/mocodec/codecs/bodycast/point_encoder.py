@@ -2,8 +2,8 @@
 
 target ─► bound of the lattice, colour step ─► chunks ─► decoded ─► the points of the lattice? colours good enough?
 
-Where the bound is known at once, the check follows the encoder frame by frame; after a search for the bound, the chunks
-that it has coded are decoded.
+Where the bound is known at once, the check follows the encoder frame by frame; after a search for the bound, and for
+chunks of few frames, the chunks are decoded.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ from ..clouds.raw_frames import Cloud
 from . import point_choice, point_targets
 from .colour_lifting import ColourSteps
 from .lattice_frames import LatticeFrame, LatticeGrid, to_lattice
-from .point_check import ChunkCheck, check_decoded
+from .point_check import FIRST_FRAMES, ChunkCheck, check_decoded
 from .point_layer import (
     FRAMES_AHEAD,
     CodedFrame,
@@ -88,7 +88,7 @@ class PointEncoder:
             return self._decoded_parts(chunks, bound, self._steps_of_psnr(chunks, bound, target.psnr))
         if self._last is not None and self._last[0] == bound:
             return self._decoded_parts(self._last[1], bound, steps)
-        if not BitCheck.is_available():
+        if not BitCheck.is_available() or all(span.stop - span.start <= FIRST_FRAMES for span in self.spans):
             return self._decoded_parts(parallel.ahead(self._coded_chunks(bound)), bound, steps)
         frames = parallel.ahead(self._coded_frames(bound), FRAMES_AHEAD)
         numbers = progress.over(range(len(self.spans)))
@@ -119,8 +119,8 @@ class PointEncoder:
             if steps is None or frame.located is None:
                 continue
             colours = colours or ColoursOfChunk(places.table, steps)
-            colours.code(coder, frame.colours(), frame.located)
-            check.follow_colours(coder.take())
+            decoded = colours.code(coder, frame.colours(), frame.located)
+            check.follow_colours(coder.take(), decoded)
         assert places is not None
         stored = places.part()
         part = join(stored, steps, coder.finish())
