@@ -13,5 +13,7 @@ Integers = NDArray[np.int64]
 Booleans = NDArray[np.bool_]
 Bytes = NDArray[np.uint8]
 """Samples of pictures, colours (…, 3), single bits: the shape says which."""
+YCoCg = NDArray[np.int16]
+"""Colours (…, 3) as Y, Co and Cg of YCoCg-R."""
 AnyInteger = NDArray[Any]
 """Integers of any width."""

@@ -13,7 +13,9 @@
 //   point_smoothing.cpp   moves lattice points to the surface, for codecs/bodycast/point_smoothing.py; point_moves.h finds the moves
 //   lattice_frames.cpp    points on a lattice, for codecs/bodycast/lattice_frames.py, lattice.py and octree.py
 //   point_choice.cpp      choice of lattice points, for codecs/bodycast/point_choice.py; key_order.h sorts codes
-//   point_colours.cpp     colours of lattice points, for codecs/bodycast/surface_memory.py and colour_lifting.py
+//   point_colours.cpp     colours of lattice points, for codecs/bodycast/colour_lifting.py; colour_neighbourhood.h has the points
+//                   around a point
+//   colour_memory.cpp     expected colours, for codecs/bodycast/surface_memory.py
 //   surface_memory.cpp    the bodies' surface over frames, for codecs/bodycast/integer_surface.py and surface_memory.py
 //   reference_surface.cpp surface of points, for codecs/bodycast/reference_surface.py; nearest_others.h finds neighbours
 //   clustered_icp.cpp     iterative closest points, for geometry/icp.py and articulated_icp.py (clustered_points.h is the tree), and normals,
@@ -63,7 +65,7 @@ namespace nb = nanobind;
     PART(entropy) PART(coefficients) PART(matching) PART(bone_directions) PART(lattice) PART(bit_arrays)   \
     PART(joint_rotations) PART(signals) PART(signal_fitting) PART(signal_chunks) PART(signal_forms)        \
     PART(varints) PART(chunk_codec) PART(bulk) PART(bone_coordinates) PART(point_octree) PART(cube_octree)                 \
-    PART(point_colours) PART(clustered_icp) PART(surface_memory) PART(splines) PART(householder)           \
+    PART(point_colours) PART(colour_memory) PART(clustered_icp) PART(surface_memory) PART(splines) PART(householder)           \
     PART(point_smoothing) PART(positions) PART(link_surfaces) PART(state_stream) PART(body_frames) \
     PART(ordered) PART(lattice_neighbours) PART(marker_fitting)         \
     PART(reference_surface) PART(ppca) PART(point_choice) PART(lattice_frames) PART(clip_synthesis) PART(clip_lengths) PART(clip_quantiser) \

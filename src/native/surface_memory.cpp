@@ -167,26 +167,6 @@ Output<uint8_t> explained_points(Numbers places, Numbers normals, Numbers points
     return out.give({n});
 }
 
-// ColourMemory.learn: updates known places (t, 3, kept), shown colours (t, kept, 3) and numbers of seen points (t) with
-// rows (n), places and colours (n, 3).
-void learn_colours(Rows rows, Numbers places, Numbers colours, InPlace<int32_t, 3> known, InPlace<int32_t, 3> shown,
-                   InPlace<int64_t, 1> seen) {
-    const size_t n = rows.shape(0), table = seen.shape(0), kept = known.shape(2);
-    require_shape(places, n);
-    require_shape(colours, n);
-    require(known.shape(0) == table && known.shape(1) == 3 && shown.shape(0) == table && shown.shape(1) == kept &&
-            shown.shape(2) == 3 && kept > 0);
-    require_rows(rows.data(), n, table);
-    for (size_t i = 0; i < n; ++i) {
-        const size_t row = size_t(rows.data()[i]);
-        const size_t slot = size_t(seen.data()[row]++) % kept;
-        for (size_t d = 0; d < 3; ++d) {
-            known.data()[(3 * row + d) * kept + slot] = int32_t(places.data()[3 * i + d]);
-            shown.data()[3 * (kept * row + slot) + d] = int32_t(colours.data()[3 * i + d]);
-        }
-    }
-}
-
 }  // namespace
 
 void bind_surface_memory(nb::module_ &m) {
@@ -196,6 +176,4 @@ void bind_surface_memory(nb::module_ &m) {
     m.def("learn_places", &learn_places, nb::arg(), nb::arg(), nb::arg(), nb::arg(), nb::arg(), nb::arg().noconvert(),
           nb::arg().noconvert());
     m.def("explained_points", &explained_points);
-    m.def("learn_colours", &learn_colours, nb::arg(), nb::arg(), nb::arg(), nb::arg().noconvert(), nb::arg().noconvert(),
-          nb::arg().noconvert());
 }

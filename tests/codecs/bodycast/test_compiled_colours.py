@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from mocodec import native
+from mocodec.codecs.bodycast import point_colours
 from mocodec.codecs.bodycast.colour_lifting import ColourLifting, ColourSteps
 from mocodec.codecs.bodycast.surface_memory import SEARCHED_SAMPLES, ColourMemory, SampleTable
 from mocodec.entropy.bit_arrays import BitDecoder, BitEncoder
@@ -54,7 +55,7 @@ def coded(points: int, step: int, extreme: bool) -> tuple[bytes, list[np.ndarray
     return data, found
 
 
-@pytest.mark.parametrize("points", [1, 2, 5, 300])
+@pytest.mark.parametrize("points", [1, 2, 5, 300, 2500])
 @pytest.mark.parametrize(("step", "extreme"), [(1, True), (1, False), (6, False)])
 def test_compiled_and_numpy_colours_are_the_same(points, step, extreme):
     data, found = coded(points, step, extreme)
@@ -63,6 +64,35 @@ def test_compiled_and_numpy_colours_are_the_same(points, step, extreme):
     assert data == pure
     for ours, theirs in zip(found, expected, strict=True):
         np.testing.assert_array_equal(ours, theirs)
+
+
+@pytest.mark.parametrize(("apart", "far"), [(1, 0), (40, 3), (700, 30_000)])
+def test_candidates_of_equal_distance_are_chosen_alike(apart, far):
+    """apart: distance of the places, on a grid of 7 a side. far: of the rows' places from one another."""
+    rng = np.random.default_rng(apart)
+    rows, offsets = rng.integers(0, SAMPLES, 3000), rng.integers(0, 2, (SAMPLES, 3)) * far
+    places = rng.integers(0, 7, (3000, 3)) * apart + offsets[rows]
+    colours = rng.integers(-255, 256, (3000, 3)).astype(np.int16)
+
+    def expected() -> np.ndarray:
+        memory = ColourMemory(table(np.random.default_rng(0)))
+        memory.learn(rows[:2000], places[:2000], colours[:2000])
+        return memory.expected(rows, places)
+
+    ours = expected()
+    with native.without():
+        np.testing.assert_array_equal(ours, expected())
+
+
+def test_colour_spaces_are_the_same():
+    rng = np.random.default_rng(0)
+    colours = rng.integers(0, 256, (500, 3)).astype(np.uint8)
+    values = rng.integers(-512, 512, (500, 3)).astype(np.int16)
+    ours = point_colours.ycocg_from_rgb(colours), point_colours.rgb_from_ycocg(values)
+    with native.without():
+        np.testing.assert_array_equal(ours[0], point_colours.ycocg_from_rgb(colours))
+        np.testing.assert_array_equal(ours[1], point_colours.rgb_from_ycocg(values))
+    np.testing.assert_array_equal(point_colours.rgb_from_ycocg(ours[0]), colours)
 
 
 def test_damaged_colours_fail_alike():

@@ -19,7 +19,7 @@ import numpy as np
 from ... import native
 from ...entropy.bit_arrays import CUT_OFF, BitCoder
 from ...errors import Corrupt
-from ...typing import Booleans, Integers
+from ...typing import Booleans, Integers, YCoCg
 from .point_colours import CLASS_EDGES, CLASSES, FIRST_STRIDE, GREY, KINDS, LEVELS, OUT_OF_RANGE, code_integers
 
 WINDOW = 16  # known points along the octree's order among which the nearest are searched
@@ -74,8 +74,8 @@ class ColourLifting:
         self._product, self._square = np.zeros(3, np.int64), np.zeros(3, np.int64)
 
     def code_frame(
-        self, coder: BitCoder, wanted: Integers | None, cells: Integers, expected: Integers, is_expected: Booleans
-    ) -> Integers:
+        self, coder: BitCoder, wanted: YCoCg | None, cells: Integers, expected: YCoCg, is_expected: Booleans
+    ) -> YCoCg:
         """The decoded YCoCg (n, 3) of a frame's points; wanted: those of the data, None in the decoder. Raises Corrupt.
 
         cells (n, 3): lattice coordinates in the octree's order. expected (n, 3): YCoCg; is_expected (n,): where it is
@@ -87,18 +87,18 @@ class ColourLifting:
             found = decode(coder.compiled, *data) if wanted is None else encode(coder.compiled, wanted, *data)
             known = self._compiled_result(*found)
         else:
-            known = self._code_passes(coder, wanted, cells, expected, is_expected)
+            known = self._code_passes(coder, wanted, cells, expected, is_expected).astype(np.int16)
         self._learn()
         return known
 
-    def _compiled_result(self, known: Any, product: Any, square: Any, failure: int) -> Integers:
+    def _compiled_result(self, known: Any, product: Any, square: Any, failure: int) -> YCoCg:
         if failure:
             raise Corrupt(CUT_OFF if failure == 1 else OUT_OF_RANGE)
         self._product, self._square = self._product + product, self._square + square
         return np.asarray(known)
 
     def _code_passes(
-        self, coder: BitCoder, wanted: Integers | None, cells: Integers, expected: Integers, is_expected: Booleans
+        self, coder: BitCoder, wanted: YCoCg | None, cells: Integers, expected: YCoCg, is_expected: Booleans
     ) -> Integers:
         known, bases = np.zeros((len(cells), 3), np.int64), np.zeros((len(cells), 3), np.int64)
         stride, level = FIRST_STRIDE, 0
@@ -119,7 +119,7 @@ class ColourLifting:
         return known
 
     def _code_rows(
-        self, coder: BitCoder, wanted: Integers | None, predicted: Integers, around: Neighbourhood, level: int
+        self, coder: BitCoder, wanted: YCoCg | None, predicted: Integers, around: Neighbourhood, level: int
     ) -> Integers:
         """The decoded colours (n, 3): Y of all points, then Co, then Cg."""
         result = np.zeros_like(predicted)
@@ -157,7 +157,7 @@ def _around(
     cells: Integers,
     rows: Integers,
     stride: int,
-    expected: Integers,
+    expected: YCoCg,
     is_expected: Booleans,
 ) -> Neighbourhood:
     """The neighbourhood of each of the `rows`. Points 0, stride, 2 · stride, … are known; stride: 0 if none are."""

@@ -120,7 +120,7 @@ def _pack(
         memory, colour_coder = ColoursOfChunk(coded.table, LOSSLESS), BitEncoder()
         colours = [own for points, own in frames if len(points) and own is not None]
         for own, (_, located), colour in zip(filled, coded.filled(), colours, strict=True):
-            wanted = point_colours.ycocg_from_rgb(colour[own.order].astype(np.int64))
+            wanted = point_colours.ycocg_from_rgb(colour[own.order])
             memory.code_repeated(colour_coder, wanted, located, own.repeats)
         packed += colour_coder.finish()
     back = unpack(packed, len(frames), bodies, coloured)

@@ -106,8 +106,8 @@ def pack_exact(frames: Sequence[Cloud], precision_m: float, coloured: bool) -> b
         if not step:
             within.append((cells[order], magnitudes[order].astype(np.int64)))
         if coloured and colours is not None:
-            ycocg = ycocg_from_rgb(colours[order].astype(np.int64))
-            colour_differences.append(np.diff(ycocg, axis=0, prepend=0))
+            ycocg = ycocg_from_rgb(colours[order])
+            colour_differences.append(np.diff(ycocg.astype(np.int64), axis=0, prepend=0))
     octrees = encoder.finish(np.concatenate(rests), np.concatenate(rest_widths)) if filled else b""
     bits = float_bits(within)
     colour = coder.pack(np.concatenate(colour_differences)) if colour_differences else b""

@@ -13,9 +13,10 @@ from functools import partial
 
 import numpy as np
 
+from ... import native
 from ...entropy.bit_arrays import BitCoder
 from ...errors import Corrupt
-from ...typing import Booleans, Bytes, Integers
+from ...typing import AnyInteger, Booleans, Bytes, Integers, YCoCg
 
 FIRST_STRIDE = 64
 UNARY = 24  # magnitudes below are coded bit by bit, larger ones with WIDE_BITS more
@@ -31,17 +32,21 @@ LEVELS = 7  # strides from 64 to 1
 OUT_OF_RANGE = "bodycast: the colour of a point is out of range"
 
 
-def ycocg_from_rgb(colours: Integers) -> Integers:
+def ycocg_from_rgb(colours: Bytes) -> YCoCg:
     """(n, 3): Y, Co, Cg of YCoCg-R, which integers invert exactly."""
-    red, green, blue = colours.T
+    if (kernel := native.kernel("ycocg_from_rgb")) is not None:
+        return np.asarray(kernel(colours))
+    red, green, blue = colours.astype(np.int16).T
     co = red - blue
     half = blue + (co >> 1)
     cg = green - half
     return np.stack([half + (cg >> 1), co, cg], axis=1)
 
 
-def rgb_from_ycocg(values: Integers) -> Bytes:
+def rgb_from_ycocg(values: AnyInteger) -> Bytes:
     """The inverse of `ycocg_from_rgb`, clipped to bytes."""
+    if values.dtype == np.int16 and (kernel := native.kernel("rgb_from_ycocg")) is not None:
+        return np.asarray(kernel(values))
     y, co, cg = values.T
     half = y - (cg >> 1)
     blue = half - (co >> 1)
@@ -53,7 +58,7 @@ def rgb_from_ycocg(values: Integers) -> Bytes:
 
 def quantise(colours: Bytes, predicted: Integers, step: int) -> Integers:
     """(n, 3): differences of colours from predicted YCoCg (n, 3), in steps, rounded to the nearest."""
-    difference = ycocg_from_rgb(colours.astype(np.int64)) - predicted
+    difference = ycocg_from_rgb(colours) - predicted
     return np.floor_divide(2 * difference + step, 2 * step)
 
 

@@ -19,7 +19,7 @@ from ... import parallel
 from ...entropy import varint
 from ...entropy.bit_arrays import BitCoder, BitDecoder, BitEncoder, CodedPart
 from ...errors import Corrupt
-from ...typing import Bytes, Floats, Integers
+from ...typing import Bytes, Floats, Integers, YCoCg
 from ..clouds.raw_frames import Cloud, no_points
 from . import (
     cube_octree,
@@ -82,10 +82,10 @@ class CodedFrame(NamedTuple):
     octrees_size: int
     part: CodedPart | None
 
-    def colours(self) -> Integers:
+    def colours(self) -> YCoCg:
         """The colours (n, 3) of a coloured frame, YCoCg."""
         assert self.source.colours is not None
-        return point_colours.ycocg_from_rgb(self.source.colours.astype(np.int64))
+        return point_colours.ycocg_from_rgb(self.source.colours)
 
 
 class PlacesPart(NamedTuple):
@@ -420,17 +420,15 @@ class ColoursOfChunk:
 
     def __init__(self, table: SampleTable, steps: ColourSteps) -> None:
         self.memory, self.lifting = ColourMemory(table), ColourLifting(steps)
-        self.decoded = list[Integers]()  # colours of the last frames
+        self.decoded = list[YCoCg]()  # colours of the last frames
 
-    def code(self, coder: BitCoder, wanted: Integers | None, points: LocatedPoints) -> Bytes:
+    def code(self, coder: BitCoder, wanted: YCoCg | None, points: LocatedPoints) -> Bytes:
         """The decoded colours (n, 3) of a frame; wanted: YCoCg (n, 3), None in the decoder. Raises Corrupt."""
         colours = self._code(coder, wanted, points)
         self._keep(colours)
         return point_colours.rgb_from_ycocg(colours)
 
-    def code_repeated(
-        self, coder: BitCoder, wanted: Integers | None, points: LocatedPoints, repeats: Integers
-    ) -> Bytes:
+    def code_repeated(self, coder: BitCoder, wanted: YCoCg | None, points: LocatedPoints, repeats: Integers) -> Bytes:
         """As `code`, of points that stand for `repeats` (m,) more each. Later frames refer to the first of them."""
         samples, places, cells, nearest = (
             np.repeat(values, repeats + 1, axis=0)
@@ -441,14 +439,14 @@ class ColoursOfChunk:
         self._keep(colours[np.cumsum(repeats + 1) - repeats - 1])
         return point_colours.rgb_from_ycocg(colours)
 
-    def _code(self, coder: BitCoder, wanted: Integers | None, points: LocatedPoints) -> Integers:
+    def _code(self, coder: BitCoder, wanted: YCoCg | None, points: LocatedPoints) -> YCoCg:
         samples, nearest = points.samples, points.nearest
         known, referring = np.flatnonzero(samples >= 0), nearest >= 0
         has_all = len(known) == len(samples)
         rows, places = (samples, points.places) if has_all else (samples[known], points.places[known])
         expected = self.memory.expected(rows, places)
         if not has_all:
-            every = np.zeros((len(samples), 3), np.int64)
+            every = np.zeros((len(samples), 3), np.int16)
             every[known] = expected
             expected = every
         if points.references is not None:
@@ -458,12 +456,12 @@ class ColoursOfChunk:
         self.memory.learn(rows, places, colours if has_all else colours[known])
         return colours
 
-    def _keep(self, colours: Integers) -> None:
+    def _keep(self, colours: YCoCg) -> None:
         """For later frames that refer to this one."""
         self.decoded = [*self.decoded[1 - reference_points.MAX_FRAMES :], colours]
 
 
-def _unlearned_colours(coder: BitDecoder, texture: Integers, samples: Integers, step: int) -> Bytes:
+def _unlearned_colours(coder: BitDecoder, texture: YCoCg, samples: Integers, step: int) -> Bytes:
     """The colours (n, 3) of points relative to the texture (m, 3) at their samples (n,). Raises Corrupt."""
     values = point_colours.code_colours(coder, None, len(samples))
     predicted = np.tile(point_colours.GREY, (len(samples), 1))

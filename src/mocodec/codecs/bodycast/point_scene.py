@@ -11,7 +11,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ...typing import Booleans, Bytes, Floats, Integers
+from ...typing import Booleans, Bytes, Floats, Integers, YCoCg
 from . import integer_surface, point_colours, video
 from .body_model import BodyModel
 from .integer_surface import IntegerSurface, pose_values, posed_samples, rounding_shift
@@ -45,13 +45,13 @@ class SurfaceTexture:
         return self._built[1]
 
 
-def _texture(samples: SurfaceSamples, planes: Bytes) -> Integers:
+def _texture(samples: SurfaceSamples, planes: Bytes) -> YCoCg:
     """(m, 3): YCoCg of the atlas cell nearest to each sample, in integers."""
     nearest = np.take_along_axis(samples.cells, samples.weights.argmax(axis=0)[None], axis=0)[0]
     y, cb, cr = planes.reshape(3, -1)[:, nearest].astype(np.int64)
     red, blue = y + (103_206 * (cr - 128) >> 16), y + (121_609 * (cb - 128) >> 16)
     green = y - (30_678 * (cr - 128) + 12_277 * (cb - 128) >> 16)
-    return point_colours.ycocg_from_rgb(np.clip(np.stack([red, green, blue], axis=1), 0, 255))
+    return point_colours.ycocg_from_rgb(np.clip(np.stack([red, green, blue], axis=1), 0, 255).astype(np.uint8))
 
 
 class ChunkBodies(NamedTuple):
@@ -93,7 +93,7 @@ class Scene:
         self.table = SampleTable(
             np.concatenate([np.zeros((0, 3), np.int64), *(s.points for s in self.surfaces)]),
             np.ascontiguousarray(neighbours[:, : SEARCHED_SAMPLES - 1]),
-            np.concatenate([np.zeros((0, 3), np.int64), *(texture.colours for texture in bodies.textures)]),
+            np.concatenate([np.zeros((0, 3), np.int16), *(texture.colours for texture in bodies.textures)]),
         )
         self._memory = PlaceMemory(self.table)
         self._neighbours = dict[tuple[int, ...], Integers]()  # of the samples of these bodies

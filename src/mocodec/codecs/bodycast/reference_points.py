@@ -15,7 +15,7 @@ import numpy as np
 from ... import native
 from ...entropy import varint
 from ...errors import Corrupt
-from ...typing import Booleans, Integers
+from ...typing import Booleans, Integers, YCoCg
 from . import octree
 from .integer_surface import hints_of_samples
 from .reference_surface import Samples, surface_of_points
@@ -52,7 +52,7 @@ class ReferencePoints(NamedTuple):
     ages: Integers
     rows: Integers
 
-    def expected(self, colours: Sequence[Integers], cells: Integers, nearest: Integers) -> Integers:
+    def expected(self, colours: Sequence[YCoCg], cells: Integers, nearest: Integers) -> Integers:
         """(n, 3): the mean colour of the AVERAGED points nearest to lattice points (n, 3), among the sample (n,) near
         each and its neighbours. colours: of the frames before, the latest last.
         """
@@ -63,7 +63,7 @@ class ReferencePoints(NamedTuple):
         chosen = np.take_along_axis(candidates, order, axis=1)
         return mean_colour(self._colours(colours)[chosen], np.take_along_axis(square, order, axis=1) + SOFTENING)
 
-    def _colours(self, colours: Sequence[Integers]) -> Integers:
+    def _colours(self, colours: Sequence[YCoCg]) -> Integers:
         result = np.zeros((len(self.rows), 3), np.int64)
         for age in np.unique(self.ages).tolist():
             own = self.ages == age

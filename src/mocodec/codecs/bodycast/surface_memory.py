@@ -12,7 +12,7 @@ from typing import NamedTuple
 import numpy as np
 
 from ... import native
-from ...typing import Integers
+from ...typing import Integers, YCoCg
 from .integer_surface import TURN_BITS
 from .surface_hints import NORMAL_BITS
 
@@ -55,7 +55,7 @@ class SampleTable(NamedTuple):
 
     points: Integers
     neighbours: Integers
-    colours: Integers
+    colours: YCoCg
 
     def canonical(self, frame: PosedSurface, points: Integers, samples: Integers) -> Integers:
         """(n, 3): points of a frame in the canonical pose, each moved as the first link of its sample (n,) ≥ 0."""
@@ -116,11 +116,11 @@ class ColourMemory:
     def __init__(self, table: SampleTable) -> None:
         self._neighbours, count = table.neighbours, len(table.points)
         self._places = np.full((count, 3, KEPT_POINTS), NOT_SEEN, np.int32)  # coordinates side by side
-        self._colours = np.zeros((count, KEPT_POINTS, 3), np.int32)
+        self._colours = np.zeros((count, KEPT_POINTS, 3), np.int16)
         self._places[:, :, 0], self._colours[:, 0] = table.points, table.colours
         self._seen = np.ones(count, np.int64)
 
-    def expected(self, rows: Integers, places: Integers) -> Integers:
+    def expected(self, rows: Integers, places: Integers) -> YCoCg:
         """(n, 3): the mean colour of the AVERAGED learned points nearest to canonical places (n, 3).
 
         rows (n,): the sample near each, of all bodies. Of equal distances the first counts.
@@ -129,7 +129,7 @@ class ColourMemory:
             return np.asarray(kernel(rows, places, self._neighbours, self._places, self._colours))
         parts = [slice(start, start + BATCH_POINTS) for start in range(0, len(rows), BATCH_POINTS)]
         found = [self._expected(rows[part], places[part]) for part in parts]
-        return np.concatenate([np.zeros((0, 3), np.int64), *found])
+        return np.concatenate([np.zeros((0, 3), np.int64), *found]).astype(np.int16)
 
     def _expected(self, rows: Integers, places: Integers) -> Integers:
         searched = np.concatenate([rows[:, None], self._neighbours[rows]], axis=1)
@@ -141,7 +141,7 @@ class ColourMemory:
         colours = np.take_along_axis(candidates, chosen[..., None], axis=1).astype(np.int64)
         return mean_colour(colours, np.take_along_axis(square, chosen, axis=1) + SOFTENING)
 
-    def learn(self, rows: Integers, places: Integers, colours: Integers) -> None:
+    def learn(self, rows: Integers, places: Integers, colours: YCoCg) -> None:
         """Keep points with their colours (n, 3); of each sample the last KEPT_POINTS. rows, places: as above."""
         if (kernel := native.kernel("learn_colours")) is not None:
             kernel(rows, places, colours, self._places, self._colours, self._seen)
