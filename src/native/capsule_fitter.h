@@ -191,7 +191,7 @@ class CapsuleFitter {
         const double share = constant.back_weight * double(tree.count) / double(sample_capsules.size());
         for (size_t s = 0; s < sample_capsules.size(); ++s) {
             const size_t c = size_t(sample_capsules[s]);
-            double normal[3], y[3], limit = squared(3 * width);
+            double normal[3], y[6] = {}, limit = squared(3 * width);  // a query of the tree has room for colours
             transform(&a[9 * size_t(carriers[c])], &outward[3 * s], normal);
             shapes[c].place(shares[s], normal, y);
             const int64_t found = tree.nearest_from(guesses[s], y, limit);

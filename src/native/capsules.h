@@ -19,18 +19,18 @@ struct CentredPoints {
             for (size_t d = 0; d < 3; ++d) places[d * count + i] = float(points.data()[3 * i + d] - centre[d]);
     }
 
-    // Lowers the distances `nearest` of the first n points to those from a capsule's surface; is_first: sets them. end: both
+    // Lowers the distances `nearest` of points `begin` to `end` − 1 to those from a capsule's surface; is_first: sets them.
     // ends of its axis (2, 3), radius (2): metres.
     template <bool is_first>
-    void lower(float *nearest, size_t n, const double *end, const double *radius) const {
+    void lower(float *nearest, size_t begin, size_t end, const double *ends, const double *radius) const {
         const float *x = places.data(), *y = x + count, *z = y + count;
         float p[3], along[3], square = 0;
         for (size_t d = 0; d < 3; ++d) {
-            p[d] = float(end[d] - centre[d]), along[d] = float(end[3 + d] - end[d]);
+            p[d] = float(ends[d] - centre[d]), along[d] = float(ends[3 + d] - ends[d]);
             square += along[d] * along[d];
         }
         const float inverse = 1 / std::max(square, 1e-6f), near = float(radius[0]), wider = float(radius[1]) - near;
-        for (size_t i = 0; i < n; ++i) {
+        for (size_t i = begin; i < end; ++i) {
             const float dx = x[i] - p[0], dy = y[i] - p[1], dz = z[i] - p[2];
             const float foot = (dx * along[0] + dy * along[1] + dz * along[2]) * inverse;
             const float share = 0.5f * (std::abs(foot) - std::abs(foot - 1) + 1);  // foot, clamped to 0 … 1
@@ -43,8 +43,8 @@ struct CentredPoints {
     // Sets the distances `nearest` of the first n points from the nearest of some capsules. ends (capsules, 2, 3), radii
     // (capsules, 2): metres.
     void set_nearest(float *nearest, size_t n, size_t capsules, const double *ends, const double *radii) const {
-        lower<true>(nearest, n, ends, radii);
-        for (size_t c = 1; c < capsules; ++c) lower<false>(nearest, n, ends + 6 * c, radii + 2 * c);
+        lower<true>(nearest, 0, n, ends, radii);
+        for (size_t c = 1; c < capsules; ++c) lower<false>(nearest, 0, n, ends + 6 * c, radii + 2 * c);
     }
 
     const size_t count;

@@ -7,7 +7,17 @@
 #include "capsule_fitter.h"
 #include "pose_scorer.h"
 
+// Rotation matrices (n, 3, 3) of rotation vectors (n, 3), radians: articulation.exp.
+static Output<double> rotation_matrices(Input<double, 2> vectors) {
+    const size_t n = vectors.shape(0);
+    if (vectors.shape(1) != 3) throw std::invalid_argument("rotation_matrices: shapes differ");
+    Fresh<double> out(9 * n);
+    for (size_t i = 0; i < n; ++i) exponential(vectors.data() + 3 * i, &out.data[9 * i]);
+    return out.give({n, 3, 3});
+}
+
 void bind_first_pose(nb::module_ &m) {
+    m.def("rotation_matrices", &rotation_matrices);
     nb::class_<CellValues<float>>(m, "CellDistances")
         .def(nb::init<Input<float, 1>, Input<double, 1>, Input<int64_t, 1>, double>());
     nb::class_<CellValues<uint8_t>>(m, "CellFlags")

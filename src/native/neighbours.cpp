@@ -1,4 +1,4 @@
-// Neighbours of points and of cells of a grid, for geometry/neighbours.py.
+// Neighbours of points and of cells of a grid, for geometry/neighbours.py and skinning.py.
 
 #include <algorithm>
 #include <array>
@@ -170,10 +170,91 @@ Output<double> cell_distances(Input<bool, 3> filled) {
     return out.give({nx, ny, nz});
 }
 
+// Points in the cells of a grid of this edge or more.
+class PointCells {
+  public:
+    PointCells(const double *points, size_t count, double edge) : edge_(edge) {
+        double high[3];
+        for (size_t d = 0; d < 3; ++d) low_[d] = high[d] = points[d];
+        for (size_t i = 0; i < count; ++i)
+            for (size_t d = 0; d < 3; ++d) {
+                if (!std::isfinite(points[3 * i + d])) throw std::invalid_argument("a coordinate is not finite");
+                low_[d] = std::min(low_[d], points[3 * i + d]), high[d] = std::max(high[d], points[3 * i + d]);
+            }
+        for (double cells = MOST_CELLS + 1; cells > MOST_CELLS; edge_ *= 1.5) {
+            cells = 1;
+            for (size_t d = 0; d < 3; ++d) cells *= std::floor((high[d] - low_[d]) / edge_) + 1;
+            if (cells <= MOST_CELLS) break;
+        }
+        for (size_t d = 0; d < 3; ++d) size_[d] = int64_t((high[d] - low_[d]) / edge_) + 1;
+        starts_.assign(size_t(size_[0] * size_[1] * size_[2]) + 2, 0);
+        for (size_t i = 0; i < count; ++i) ++starts_[cell(points + 3 * i) + 2];
+        for (size_t c = 2; c < starts_.size(); ++c) starts_[c] += starts_[c - 1];
+        rows_.resize(count);
+        for (size_t i = 0; i < count; ++i) rows_[starts_[cell(points + 3 * i) + 1]++] = i;
+    }
+
+    // Calls use(row) for all points in the cells around a place.
+    template <class Use>
+    void around(const double *place, const Use &use) const {
+        int64_t first[3], last[3];
+        for (size_t d = 0; d < 3; ++d) {
+            const int64_t at = along(place, d);
+            first[d] = std::max<int64_t>(at - 1, 0), last[d] = std::min(at + 1, size_[d] - 1);
+        }
+        for (int64_t x = first[0]; x <= last[0]; ++x)
+            for (int64_t y = first[1]; y <= last[1]; ++y) {
+                const size_t line = size_t((x * size_[1] + y) * size_[2]);
+                for (size_t i = starts_[line + size_t(first[2])]; i < starts_[line + size_t(last[2]) + 1]; ++i) use(rows_[i]);
+            }
+    }
+
+  private:
+    static constexpr double MOST_CELLS = 1 << 20;
+
+    int64_t along(const double *place, size_t axis) const {
+        return std::clamp(int64_t((place[axis] - low_[axis]) / edge_), int64_t(0), size_[axis] - 1);
+    }
+
+    size_t cell(const double *place) const {
+        return size_t((along(place, 0) * size_[1] + along(place, 1)) * size_[2] + along(place, 2));
+    }
+
+    double low_[3], edge_;
+    int64_t size_[3];
+    std::vector<size_t> starts_, rows_;  // first point of each cell, z fastest; points by cells
+};
+
+// skinning.averaged: means (n, k) of values (n, k) over the neighbourhoods of points (n, 3) with normals (n, 3).
+Output<double> neighbourhood_means(Input<double, 2> points, Input<double, 2> normals, Input<double, 2> values, double radius) {
+    const size_t n = points.shape(0), k = values.shape(1);
+    if (points.shape(1) != 3 || normals.shape(0) != n || normals.shape(1) != 3 || values.shape(0) != n || !(radius > 0))
+        throw std::invalid_argument("neighbourhood_means: shapes differ");
+    Fresh<double> out(n * k);
+    if (!n) return out.give({n, k});
+    const PointCells cells(points.data(), n, radius);
+    for (size_t i = 0; i < n; ++i) {
+        const double *place = points.data() + 3 * i, *normal = normals.data() + 3 * i;
+        double *mean = &out.data[i * k], total = 1;
+        std::copy_n(values.data() + i * k, k, mean);
+        cells.around(place, [&](size_t j) {
+            const double share = 1 - squared_distance(place, points.data() + 3 * j) / (radius * radius);
+            if (share <= 0 || j == i) return;
+            const double weight = share * share * std::max(dot(normal, normals.data() + 3 * j), 0.0);
+            const double *value = values.data() + j * k;
+            total += weight;
+            for (size_t c = 0; c < k; ++c) mean[c] += weight * value[c];
+        });
+        for (size_t c = 0; c < k; ++c) mean[c] /= total;
+    }
+    return out.give({n, k});
+}
+
 }  // namespace
 
 void bind_neighbours(nb::module_ &m) {
     m.def("nearest_points", &nearest_points);
     m.def("cell_groups", &cell_groups);
     m.def("cell_distances", &cell_distances);
+    m.def("neighbourhood_means", &neighbourhood_means);
 }

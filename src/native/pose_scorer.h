@@ -86,7 +86,7 @@ class PoseScorer {
             for (size_t s = 0; s < sample_links.size(); s += std::max<size_t>(stride, 1), ++used)
                 from_samples += sample_cost(s);
             for (size_t h = 0; h < hinges.size(); ++h) bent += hinge_cost(h, turns + 9 * hinges[h]);
-            out.data[pose] = point_cost(nearest, count) / double(count) + from_samples / double(used) + bent;
+            out.data[pose] = point_cost(nearest.data(), count) / double(count) + from_samples / double(used) + bent;
         }
         return out.give({k});
     }
@@ -101,6 +101,11 @@ class PoseScorer {
             throw std::invalid_argument("PoseScorer.best_limbs: shapes differ");
         for (size_t i = 0; i < l; ++i) require_link(limb.data()[i]);
         const auto in_limb = [&](int64_t link) { return std::find(limb.data(), limb.data() + l, link) != limb.data() + l; };
+        std::vector<size_t> own_capsules, own_samples;
+        for (size_t c = 0; c < capsules; ++c)
+            if (in_limb(carriers[c])) own_capsules.push_back(c);
+        for (size_t s = 0; s < sample_links.size(); ++s)
+            if (in_limb(sample_links[s])) own_samples.push_back(s);
         Fresh<int64_t> best(k);
         Fresh<double> costs(k);
         for (size_t pose = 0; pose < k; ++pose) {
@@ -113,9 +118,9 @@ class PoseScorer {
                 if (in_limb(carriers[c])) continue;
                 place_capsule(c, size);
                 if (is_first)
-                    points.lower<true>(rest.data(), points.count, &placed[6 * c], &wide[2 * c]);
+                    points.lower<true>(rest.data(), 0, points.count, &placed[6 * c], &wide[2 * c]);
                 else
-                    points.lower<false>(rest.data(), points.count, &placed[6 * c], &wide[2 * c]);
+                    points.lower<false>(rest.data(), 0, points.count, &placed[6 * c], &wide[2 * c]);
                 is_first = false;
             }
             if (is_first) std::fill(rest.begin(), rest.end(), float(truncation));
@@ -135,16 +140,16 @@ class PoseScorer {
                     for (size_t h = 0; h < hinges.size(); ++h)
                         if (hinges[h] == int64_t(link)) cost += hinge_cost(h, turn + 9 * i);
                 }
-                for (size_t s = 0; s < sample_links.size(); ++s)
-                    if (in_limb(sample_links[s])) cost += sample_cost(s) * sample_share;
-                if (cost >= costs.data[pose]) continue;  // the points can only add to it
-                nearest = rest;
-                for (size_t c = 0; c < capsules; ++c)
-                    if (in_limb(carriers[c])) {
-                        place_capsule(c, size);
-                        points.lower<false>(nearest.data(), points.count, &placed[6 * c], &wide[2 * c]);
-                    }
-                cost += point_cost(nearest, points.count) / double(points.count);
+                for (size_t s : own_samples) cost += sample_cost(s) * sample_share;
+                for (size_t c : own_capsules) place_capsule(c, size);
+                for (size_t first = 0; first < points.count && cost < costs.data[pose]; first += TOGETHER) {
+                    const size_t last = std::min(first + TOGETHER, points.count);
+                    std::copy(rest.begin() + std::ptrdiff_t(first), rest.begin() + std::ptrdiff_t(last),
+                              nearest.begin() + std::ptrdiff_t(first));
+                    for (size_t c : own_capsules)
+                        points.lower<false>(nearest.data(), first, last, &placed[6 * c], &wide[2 * c]);
+                    cost += point_cost(&nearest[first], last - first) / double(points.count);
+                }
                 if (cost < costs.data[pose]) costs.data[pose] = cost, best.data[pose] = int64_t(draw);
             }
         }
@@ -152,6 +157,8 @@ class PoseScorer {
     }
 
   private:
+    static constexpr size_t TOGETHER = 64;  // points compared with a limb before it is given up if it costs more than the best
+
     void require_link(int64_t link) const {
         if (link < 0 || link >= int64_t(links)) throw std::invalid_argument("PoseScorer: a link beyond the body");
     }
@@ -204,7 +211,7 @@ class PoseScorer {
     }
 
     // Sum of truncated squares of the first n distances.
-    double point_cost(const std::vector<float> &distances, size_t n) const {
+    double point_cost(const float *distances, size_t n) const {
         const float most = float(truncation);
         float sums[4] = {0, 0, 0, 0};
         size_t i = 0;

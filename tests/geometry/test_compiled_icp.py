@@ -174,3 +174,12 @@ def test_compiled_inverse_skinning_agrees_with_numpy(figure):
     np.testing.assert_allclose(unposed, points[rows], atol=1e-9)
     with native.without():
         np.testing.assert_allclose(unposed, skin.unposed(a, b, rows, skin.posed(a, b, rows)), atol=1e-9)
+
+
+def test_compiled_means_of_neighbourhoods_agree_with_numpy(figure):
+    body, points, outward = figure
+    values = np.random.default_rng(0).normal(size=(len(points), 5))
+    means = skinning.averaged(body, points, outward, values)
+    assert means.std() < 0.8 * values.std()
+    with native.without():
+        np.testing.assert_allclose(means, skinning.averaged(body, points, outward, values), atol=1e-12)

@@ -50,7 +50,12 @@ class Tables:
         for table, row in enumerate(weights):
             frequencies[table, : len(row)] = rans.normalised([int(w) for w in row], PRECISION)
         self.frequency, self.start = frequencies.ravel(), rans.starts_of(frequencies).ravel()
-        self.symbol = rans.slots_of(frequencies)[0].astype(np.uint8 if self.width <= 256 else np.uint16)
+
+    @cached_property
+    def symbol(self) -> NDArray[Any]:
+        """The symbol of each slot: what decoders need."""
+        symbols = np.arange(self.width, dtype=np.uint8 if self.width <= 256 else np.uint16)
+        return np.repeat(np.tile(symbols, self.count), self.frequency)
 
     @cached_property
     def lists(self) -> tuple[list[int], list[int], list[int]]:

@@ -128,10 +128,10 @@ class PoseSearch:
         turns[:, 1:4, 1] = rng.normal(0, 1, (count, 1)) * rng.choice(TWISTS_RAD, (count, 1))
         turns[:, 1:4, 2] = rng.normal(0, 0.06, (count, 1))
         turns[:, 0, 0] = rng.normal(0, 0.1, count)
-        rotations = articulation.exp(turns)
+        rotations = _rotations(turns)
         heading = np.zeros((count, 3))
         heading[:, 1] = rng.uniform(0, 2 * np.pi, count)
-        rotations[:, 0] = articulation.exp(heading) @ rotations[:, 0]
+        rotations[:, 0] = _rotations(heading) @ rotations[:, 0]
         for limb in self.limbs:
             rotations[:, limb] = self._random_limb(limb, sits)
         size = (self.high[1] - self.low[1]) / STOCK_HEIGHT_M * rng.choice(SIZES, count) * np.where(sits, SEATED_SIZE, 1)
@@ -155,19 +155,19 @@ class PoseSearch:
             to /= np.linalg.norm(to, axis=1, keepdims=True)
             along = body.axes[limb[0]]
             twist = rng.normal(0, 0.7, count)
-            turns[:, 0] = articulation.exp(to * twist[:, None]) @ articulation.rotation_between(
+            turns[:, 0] = _rotations(to * twist[:, None]) @ articulation.rotation_between(
                 np.tile(along, (count, 1)), to
             )
             bend = np.where(rng.random(count) < 0.6, np.abs(rng.normal(0.2, 0.3, count)), rng.uniform(0, 2.4, count))
-            turns[:, 1] = articulation.exp(bend[:, None] * _elbow_axis(along))
+            turns[:, 1] = _rotations(bend[:, None] * _elbow_axis(along))
             return turns
         hip = rng.normal([-0.15, 0, 0.06 * side], [0.4, 0.2, 0.18], (count, 3))
         knee = np.abs(rng.normal(0, 0.5, count)) + np.maximum(-hip[:, 0] - 0.4, 0)
         hip[sits] += [SEATED_HIP_RAD, 0, 0]
         knee[sits] = np.abs(rng.normal(-SEATED_HIP_RAD, 0.5, int(sits.sum())))
-        turns[:, 0] = articulation.exp(hip)
-        turns[:, 1] = articulation.exp(np.outer(knee, [1.0, 0, 0]))
-        turns[:, 2] = articulation.exp(np.outer(-hip[:, 0] - knee, [0.8, 0, 0]) + rng.normal(0, 0.15, (count, 3)))
+        turns[:, 0] = _rotations(hip)
+        turns[:, 1] = _rotations(np.outer(knee, [1.0, 0, 0]))
+        turns[:, 2] = _rotations(np.outer(-hip[:, 0] - knee, [0.8, 0, 0]) + rng.normal(0, 0.15, (count, 3)))
         return turns
 
     def _perturbed(self, poses: PoseHypotheses, times: int, spread: float) -> PoseHypotheses:
@@ -178,7 +178,7 @@ class PoseSearch:
         turns = rng.normal(size=(count, self.links, 3)) * spread * 0.25
         turns[:, 0, 1] *= 2
         turns[:, 1:8] *= 0.5
-        rotations = repeated.rotations @ articulation.exp(turns)
+        rotations = repeated.rotations @ _rotations(turns)
         root = repeated.root + rng.normal(0, 0.08 * spread, (count, 3))
         size = repeated.size * np.exp(rng.normal(0, 0.08 * spread, count))
         return PoseHypotheses(rotations, root, size, repeated.cost)
@@ -260,7 +260,7 @@ class PoseSearch:
         random = self._random_limb(limb, self.rng.random(k * fresh) < SEATED_SHARE)
         turns[:, :fresh] = random.reshape(k, fresh, len(limb), 3, 3)
         noise = self.rng.normal(size=(k, draws - fresh, len(limb), 3)) * spread
-        turns[:, fresh:] = own @ articulation.exp(noise)
+        turns[:, fresh:] = own @ _rotations(noise)
         turns[:, :1] = own
         return turns
 
@@ -330,6 +330,13 @@ def hinges(body: Body) -> list[tuple[int, Floats]]:
         fore, shin = body.names.index(f"{side}ForeArm"), body.names.index(f"{side}Leg")
         result += [(fore, _elbow_axis(body.axes[body.parents[fore]])), (shin, np.array([1.0, 0, 0]))]
     return result
+
+
+def _rotations(vectors: Floats) -> Floats:
+    """`articulation.exp`, compiled: for very many."""
+    if (kernel := native.kernel("rotation_matrices")) is not None:
+        return np.asarray(kernel(vectors.reshape(-1, 3))).reshape(*vectors.shape, 3)
+    return articulation.exp(vectors)
 
 
 def _elbow_axis(arm: Floats) -> Floats:

@@ -92,24 +92,25 @@ def blended(body: Body, points: Floats, links: AnyInteger, normals: Floats) -> S
     Weights change gradually across every boundary between links, wherever it lies, but not from an arm to the trunk
     that it touches.
     """
-    kernel = neighbourhood(body, points, normals)
-    shares = np.zeros((len(points), len(body)))
-    shares[np.arange(len(points)), links] = 1.0
-    shares = np.asarray(kernel @ shares)
+    own = np.zeros((len(points), len(body)))
+    own[np.arange(len(points)), links] = 1.0
+    shares = averaged(body, points, normals, own)
     order = np.argsort(-shares, axis=1, kind="stable")[:, :2]
     first, second = np.take_along_axis(shares, order, axis=1).T
     order[second <= 0, 1] = order[second <= 0, 0]
     return Skin(points, order, first / (first + second))
 
 
-def neighbourhood(body: Body, points: Floats, normals: Floats) -> Any:
-    """(n, n), sparse: weights that average over the neighbourhood of each point, falling to zero at its radius and for
-    normals at a right angle or more.
+def averaged(body: Body, points: Floats, normals: Floats, values: Floats) -> Floats:
+    """(n, k): values (n, k) of points (n, 3), averaged over the neighbourhood of each. Weights fall to zero at its
+    radius, and for unit normals (n, 3) at a right angle or more.
     """
+    radius = RADIUS * float(np.ptp(np.concatenate([body.origins, body.tips]), axis=0).max())
+    if (kernel := native.kernel("neighbourhood_means")) is not None:
+        return np.asarray(kernel(points, normals, values, radius))
     from scipy.sparse import coo_array
     from scipy.spatial import KDTree
 
-    radius = RADIUS * float(np.ptp(np.concatenate([body.origins, body.tips]), axis=0).max())
     pairs = KDTree(points).query_pairs(radius, output_type="ndarray")
     own = np.arange(len(points))
     i, j = (np.concatenate([pairs[:, k], pairs[:, 1 - k], own]) for k in (0, 1))
@@ -117,7 +118,8 @@ def neighbourhood(body: Body, points: Floats, normals: Floats) -> Any:
     weight = np.maximum(1 - gap, 0.0) ** 2 * np.maximum(np.sum(normals[i] * normals[j], axis=1), 0.0)
     weight[len(i) - len(own) :] = 1.0
     total = np.bincount(i, weight, len(points))
-    return coo_array((weight / total[i], (i, j)), shape=(len(points),) * 2).tocsr()
+    means = coo_array((weight / total[i], (i, j)), shape=(len(points),) * 2).tocsr()
+    return np.asarray(means @ values)
 
 
 @dataclass(frozen=True, eq=False)

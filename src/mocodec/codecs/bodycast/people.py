@@ -9,6 +9,7 @@ import numpy as np
 
 from ...errors import BadInput, CannotEncode
 from ...geometry import neighbours
+from ...geometry.body_matching import FramePoints
 from ...typing import AnyInteger, Floats
 from ..clouds.raw_frames import Cloud
 from ..clouds.tracked_motion import skeleton_motion
@@ -78,11 +79,9 @@ def start_trackers(
 
 def assign_points(points: Floats, trackers: Sequence[PersonTracker]) -> AnyInteger:
     """(n,): index of the predicted body nearest to each point, −1 for outliers. A single body gets all points."""
-    from scipy.spatial import KDTree
-
     if len(trackers) == 1:
         return np.zeros(len(points), np.int64)
     predicted = [t.posed_template(t.tracker.predict())[::3] for t in trackers]
-    distance = [KDTree(p).query(points, distance_upper_bound=MAX_BODY_DISTANCE_M)[0] for p in predicted]
+    distance = [FramePoints.build(p).nearest(points, None, MAX_BODY_DISTANCE_M)[0] for p in predicted]
     nearest = np.argmin(distance, axis=0)
     return np.where(np.isfinite(np.min(distance, axis=0)), nearest, -1)

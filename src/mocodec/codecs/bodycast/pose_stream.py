@@ -22,6 +22,7 @@ from ...errors import Corrupt
 from ...geometry import articulation
 from ...geometry.articulation import Body, Pose
 from ...geometry.skinning import Skin
+from ...stages import dct
 from ...typing import Floats, Integers
 from .swing_twist import from_swing_twist, link_frames, to_swing_twist, transposed
 
@@ -109,14 +110,12 @@ def pack_poses(body: Body, sequence: PoseSequence, steps: PoseSteps) -> bytes:
     """A run of frames. Each joint corrects the rounding of the joints above it: it rotates its link to the link's world
     orientation.
     """
-    from scipy.fft import dct, idct
-
     frames, links = sequence.rotations.shape[:2]
     middle = np.round(articulation.log(sequence.rotations[frames // 2]) / MIDDLE_STEP_RAD).astype(np.int64)
     middle_rotations = articulation.exp(np.asarray(middle * MIDDLE_STEP_RAD, np.float64))
     axes, sizes = link_frames(body), steps.step_sizes()
     spectrum = np.empty((frames, 3 + 3 * links), np.int64)
-    spectrum[:, :3] = quantise_spectrum(np.asarray(dct(sequence.roots / sizes[:3], axis=0, norm="ortho")))
+    spectrum[:, :3] = quantise_spectrum(dct.forward(sequence.roots / sizes[:3]))
     target, decoded = np.empty_like(sequence.rotations), np.empty_like(sequence.rotations)
     for link, parent in enumerate(body.parents):
         own, columns = sequence.rotations[:, link], slice(3 + 3 * link, 6 + 3 * link)
@@ -124,8 +123,8 @@ def pack_poses(body: Body, sequence: PoseSequence, steps: PoseSteps) -> bytes:
         above = np.eye(3) if parent < 0 else decoded[:, parent]
         relative = transposed(above @ middle_rotations[link]) @ target[:, link]
         values = to_swing_twist(relative, axes[link]) / sizes[columns]
-        spectrum[:, columns] = quantise_spectrum(np.asarray(dct(values, axis=0, norm="ortho")))
-        values = np.asarray(idct(dequantise_spectrum(spectrum[:, columns]), axis=0, norm="ortho")) * sizes[columns]
+        spectrum[:, columns] = quantise_spectrum(dct.forward(values))
+        values = dct.inverse(dequantise_spectrum(spectrum[:, columns]), frames) * sizes[columns]
         decoded[:, link] = above @ middle_rotations[link] @ from_swing_twist(values, axes[link])
     head = coder.pack(middle)
     return varint.write([len(head)]) + head + coder.pack(spectrum[:, _channel_order(links)])
@@ -133,8 +132,6 @@ def pack_poses(body: Body, sequence: PoseSequence, steps: PoseSteps) -> bytes:
 
 def unpack_poses(body: Body, data: bytes, frames: int, steps: PoseSteps) -> PoseSequence:
     """The inverse of `pack_poses`, but for rounding. Raises Corrupt."""
-    from scipy.fft import idct
-
     links = len(body)
     (size,), at = varint.read(data, 1)
     if at + size > len(data):
@@ -144,7 +141,7 @@ def unpack_poses(body: Body, data: bytes, frames: int, steps: PoseSteps) -> Pose
     spectrum = np.zeros((frames, 3 + 3 * links), np.int64)
     spectrum[:, _channel_order(links)] = coder.unpack(data[at + size :], spectrum.shape)
     spectrum = np.clip(spectrum, -MAX_COEFFICIENT, MAX_COEFFICIENT)
-    values = np.asarray(idct(dequantise_spectrum(spectrum), axis=0, norm="ortho")) * steps.step_sizes()
+    values = dct.inverse(dequantise_spectrum(spectrum), frames) * steps.step_sizes()
     turns = from_swing_twist(values[:, 3:].reshape(frames, links, 3), link_frames(body))
     return PoseSequence(middle_rotations @ turns, values[:, :3])
 

@@ -12,6 +12,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from ...geometry.body_matching import FramePoints
 from ...typing import Floats, Integers
 from .reference_points import LEAST_POINTS, MAX_FRAMES, MAX_MOTION, NO_REFERENCE, EarlierFrames, Reference
 from .surface_hints import NORMAL_BITS, SUBUNIT_BITS
@@ -94,13 +95,11 @@ def estimated_motion(places: Floats, normals: Floats, cells: Integers, first: Se
     """The translation of samples (m, 3) with normals (m, 3) that brings them nearest to lattice points (n, 3), in whole
     units: iterated closest points, distances to planes. first: where the search starts.
     """
-    from scipy.spatial import KDTree
-
-    tree, motion = KDTree(cells), np.asarray(first, float)
+    data, motion = FramePoints.build(cells.astype(np.float64)), np.asarray(first, float)
     some = np.linspace(0, len(places) - 1, min(MATCHED_POINTS, len(places))).astype(int)
     places, normals = places[some], normals[some]
     for _ in range(ROUNDS):
-        distance, row = map(np.asarray, tree.query(places + motion))
+        distance, row = data.nearest(places + motion, None, np.inf)
         near = distance <= FARTHEST_MEDIANS * np.median(distance)
         own, apart = normals[near], cells[row[near]] - places[near]
         weight = own.T @ own + DAMPING * len(own) * np.eye(3)

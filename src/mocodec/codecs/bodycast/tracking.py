@@ -182,7 +182,7 @@ class PersonTracker:
                 costs[:, k] += np.minimum(distance, MAX_LINK_COST_M) ** 2 / len(clouds)
         all_links = np.full((len(points), len(self.body)), MAX_LINK_COST_M**2)
         np.put_along_axis(all_links, links, costs, axis=1)
-        smooth = np.asarray(skinning.neighbourhood(self.body, points, tracker.normals) @ all_links)
+        smooth = skinning.averaged(self.body, points, tracker.normals, all_links)
         smooth[np.arange(len(points)), own] -= MIN_LINK_GAIN_M**2
         learned = skinning.blended(self.body, points, smooth.argmin(axis=1), tracker.normals)
         self.tracker = body_tracking.BodyTracker(
