@@ -262,7 +262,7 @@ def test_what_cannot_be_done_in_blocks(tmp_path: Path) -> None:
             mc.encode_blocks(blocks(motion), path, **settings)  # pyright: ignore[reportArgumentType]
     with pytest.raises(mc.CannotEncode):
         mc.encode_blocks(blocks(motion), path, frames=1500, size=300)
-    with pytest.raises(mc.BadInput, match="block 1 has .*60 Hz.* the first .*120 Hz"):
+    with pytest.raises(mc.BadInput, match=r"block 1 has .*60 Hz.* the first .*120 Hz"):
         mc.encode_blocks([motion, replace(motion, rate=60.0)], path)
     with pytest.raises(mc.BadInput, match="no frames"):
         mc.encode_blocks([], path)

@@ -47,7 +47,14 @@ class PointClouds:
             if len(arrays) != len(self.positions):
                 raise BadInput(f"{len(self.positions)} frames of positions but {len(arrays)} of {what}")
             for frame, (values, points) in enumerate(zip(arrays, self.positions, strict=True)):
-                if values.shape != (len(points), 3):
+                shape = cast("tuple[int, ...] | None", getattr(values, "shape", None))  # of a list: none
+                if shape is None:
+                    raise BadInput(f"{what} of frame {frame} must be an array (n, 3), not a {type(values).__name__}")
+                if what == "colours" and values.dtype.kind not in "iu":
+                    raise BadInput(
+                        f"colours of frame {frame} must be numbers from 0 to 255 (uint8), not {values.dtype}"
+                    )
+                if shape != (len(points), 3):
                     raise BadInput(f"{what} of frame {frame} must be ({len(points)}, 3), not {values.shape}")
 
     def __len__(self) -> int:

@@ -54,7 +54,10 @@ IMAGES = "mocodec.formats.rgbd"
 """Reads a folder of depth and colour images; it has no suffix."""
 PICKLES = (".pkl", ".pickle")
 CAPTURE = "it is not read; export a .c3d from the program that captured it"
-POINTS = "of point clouds .ply is read, a folder with a file for each frame; convert these files to it"
+POINTS = (
+    "of point clouds .ply is read, a folder with a file for each frame; convert these files to it, for example with "
+    "Open3D: write_point_cloud('0001.ply', read_point_cloud('0001.pcd'))"
+)
 NOT_READ = {
     **dict.fromkeys(
         PICKLES, "a pickle runs code when it is opened, so mocodec reads none; save its arrays with numpy.savez"

@@ -41,6 +41,8 @@ MAX_HEADER_BYTES = 1 << 16
 MAX_ELEMENTS = 1 << 40
 MAX_UNIT_COLOUR = 1.01
 """The largest float colour of files whose colours are 0 … 1; rounding may exceed 1."""
+BLOCK_LINES = 1 << 15
+"""Lines of an ASCII file that are parsed at a time: their numbers as texts take ten times their bytes."""
 USUAL_EXTENT_M = 100.0
 """Frames of people that are larger are rarely in metres."""
 
@@ -325,13 +327,15 @@ def bytes_of(element: Element, body: bytes, order: str, path: Path) -> int:
 
 
 def ascii_vertices(body: bytes, skip_lines: int, vertex: Element, path: Path) -> np.ndarray[Any, np.dtype[Any]]:
-    """Vertices of an ASCII file, all numbers parsed in one call."""
+    """Vertices of an ASCII file, the numbers of BLOCK_LINES lines parsed in one call."""
     width = len(vertex.fields)
     if vertex.size * width * 2 > len(body) + 1:
         raise Truncated(f"{path}: ends before its {vertex.size} vertices")
     lines = body.split(b"\n", skip_lines + vertex.size)[skip_lines : skip_lines + vertex.size]
     try:
-        flat = np.array(b" ".join(lines).split(), dtype=np.float64)
+        blocks = [lines[start : start + BLOCK_LINES] for start in range(0, len(lines), BLOCK_LINES)]
+        parsed = [np.array(b" ".join(block).split(), dtype=np.float64) for block in blocks]
+        flat = np.concatenate(parsed) if parsed else np.zeros(0)
     except ValueError:
         wrong = next(token for token in b" ".join(lines).split() if not _is_number(token))
         raise BadInput(f"{path}: {wrong.decode('latin-1')!r:.40} among its vertices is not a number") from None

@@ -257,3 +257,10 @@ def test_settings_that_cannot_be_used_are_refused():
         Sender(max_error=-1.0)
     with pytest.raises(BadInput):
         Sender(cells=3)
+
+
+def test_arrays_of_other_shapes_are_refused():
+    points, colours = np.zeros((5, 3)), np.zeros((5, 3), np.uint8)
+    for arrays in ((points[:, :2], None), (points, colours[:4]), (points.tolist(), colours), (points, colours / 255)):
+        with pytest.raises(BadInput, match="of frame 0 must be"):
+            Sender().push(*arrays)

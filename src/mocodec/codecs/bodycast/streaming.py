@@ -24,6 +24,7 @@ from ...entropy import coder, varint
 from ...errors import CannotEncode, Corrupt
 from ...geometry import articulation
 from ...geometry.articulation import Pose
+from ...pointcloud import PointClouds
 from ...typing import Bytes, Floats, Integers
 from ..clouds.raw_frames import Cloud, is_usable, no_points
 from . import video
@@ -86,8 +87,10 @@ class Sender:
         """The packets of one frame: points (n, 3) metres, colours (n, 3). Points that are not finite are left out.
 
         One packet for the frame; before the first pose the model's too, and every `picture_every` frames a picture.
-        Raises CannotEncode if the first frame with points shows no body, no skeleton is given and there is no bound.
+        Raises CannotEncode if the first frame with points shows no body, no skeleton is given and there is no bound;
+        BadInput for arrays of other shapes.
         """
+        PointClouds([points], 1.0, None if colours is None else [colours])  # checks both
         usable = is_usable(points)
         cloud = points[usable], None if colours is None else colours[usable]
         frame, self._next_frame = self._next_frame, self._next_frame + 1
