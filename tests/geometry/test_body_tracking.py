@@ -222,3 +222,23 @@ def test_typical_cost_is_calibrated_from_the_first_frame(performance):
     expected = tracker.typical_cost
     fit = tracker.fit(clouds.positions[1], clouds.colours[1], 1)
     assert 0.5 < fit.cost / expected < 2
+
+
+def test_searches_in_vain_become_rarer(performance, clouds, monkeypatch):
+    tracker = tracker_of(performance, clouds)
+    fit = tracker.assess_frame(clouds.positions[1], clouds.colours[1])
+    fit = replace(fit, residuals=np.ones_like(fit.residuals), gaps=np.zeros_like(fit.gaps))
+    tracker.typical_cost = fit.cost / 2
+    searches = list[int]()
+    monkeypatch.setattr(tracker, "_swap_confused_limbs", lambda data, few, best, is_suspicious: best)
+
+    def fail(data, few, best, limb, seed):
+        searches.append(seed)
+        return best
+
+    monkeypatch.setattr(tracker, "_best_of_limb_poses", fail)
+    for frame in range(20):
+        assert tracker._reacquire_limbs(fit.data, fit, frame) is fit
+    waits = np.diff(np.unique(searches))
+    assert waits[0] == 2
+    assert (waits[1:] == 3).all()

@@ -31,6 +31,8 @@ SUSPICIOUS_COST = 1.35
 """All limbs are searched, not every other one, if the cost is above this multiple of the typical cost."""
 THRESHOLD_RISE, THRESHOLD_DECAY = 1.1, 0.9
 """After a failed search the retry threshold becomes this multiple of the cost; its decay per frame."""
+MAX_SLOWDOWN = 2
+"""After n failed searches in a row the retry threshold takes n times as many frames to decay, at most this many."""
 LIMB_LOST_SHARE = 0.12
 """Share of a limb's template without data, above which the limb counts as lost; the lowest value of its threshold."""
 LIMB_RISE, LIMB_DECAY = 1.2, 0.85
@@ -89,6 +91,7 @@ class BodyTracker(PoseSolver):
         self.pose = Pose.canonical(len(body))
         self.previous_pose = self.last_good_pose = self.pose
         self.retry_threshold = RETRY_COST  # multiple of the typical cost above which a search is worth while
+        self.failed_searches = 0  # in a row
         self.typical_cost = np.inf  # of a frame that fits, square metres
 
     def set_template(self, skin: Skin, normals: Floats, colours: Bytes | None) -> None:
@@ -176,7 +179,7 @@ class BodyTracker(PoseSolver):
         """Searches for every limb that has no points near it, while other points are not explained by any link.
 
         After a failed search the threshold of the limb rises, and decays per frame; so does the tracker's retry
-        threshold if nothing was found at a high cost.
+        threshold if nothing was found at a high cost, and it decays the more slowly the more often that happened.
         """
         if np.mean(first.residuals > UNEXPLAINED_M) < UNEXPLAINED_SHARE:
             return first
@@ -195,10 +198,10 @@ class BodyTracker(PoseSolver):
                 self.limb_thresholds[number] = max(self.limb_thresholds[number], LIMB_RISE * share)
         best = self._swap_confused_limbs(data, few, best, is_costly and is_suspicious)
         has_failed = is_costly and best is first
+        self.failed_searches = 0 if best is not first else self.failed_searches + has_failed
+        decay = THRESHOLD_DECAY ** (1 / min(max(self.failed_searches, 1), MAX_SLOWDOWN))
         raised = THRESHOLD_RISE * first.cost / self.typical_cost
-        self.retry_threshold = (
-            raised if has_failed else max(min(THRESHOLD_DECAY * self.retry_threshold, raised), RETRY_COST)
-        )
+        self.retry_threshold = raised if has_failed else max(min(decay * self.retry_threshold, raised), RETRY_COST)
         return best
 
     def _best_of_limb_poses(self, data: FramePoints, few: FramePoints, best: Fit, limb: LimbChain, seed: int) -> Fit:
