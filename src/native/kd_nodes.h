@@ -21,11 +21,13 @@ struct KdNodes {
     std::vector<KdNode<Value>> nodes;
 
     // value(row, axis): a coordinate. leaf: most points of a leaf, unless they are equal.
-    template <typename Coordinate>
-    void build(size_t count, int dimensions, size_t leaf, const Coordinate &value) {
+    template <int DIMENSIONS, typename Coordinate>
+    void build(size_t count, size_t leaf, const Coordinate &value) {
         order.resize(count);
         std::iota(order.begin(), order.end(), 0);
-        if (count) split(0, count, dimensions, leaf, value);
+        keys.resize(count);
+        if (count) split<DIMENSIONS>(0, count, leaf, value);
+        keys = {};
     }
 
   private:
@@ -33,35 +35,53 @@ struct KdNodes {
     static constexpr Value GREATEST = Limits::has_infinity ? Limits::infinity() : Limits::max();
     static constexpr Value LEAST = Limits::has_infinity ? -Limits::infinity() : Limits::min();
 
-    template <typename Coordinate>
-    size_t split(size_t first, size_t last, int dimensions, size_t leaf, const Coordinate &value) {
+    // A row and its coordinate along the axis of a split.
+    struct Key {
+        Value value;
+        size_t row;
+    };
+
+    template <int DIMENSIONS, typename Coordinate>
+    size_t split(size_t first, size_t last, size_t leaf, const Coordinate &value) {
         const size_t here = nodes.size();
         nodes.push_back({first, last, -1, 0, 0, 0});
         if (last - first <= leaf) return here;
-        Value widest = 0;
-        int axis = -1;
-        for (int d = 0; d < dimensions; ++d) {
-            Value least = GREATEST, most = LEAST;
-            for (size_t i = first; i < last; ++i) {
-                least = std::min(least, value(order[i], d));
-                most = std::max(most, value(order[i], d));
-            }
-            if (most - least > widest) widest = most - least, axis = d;
-        }
+        const int axis = widest_axis<DIMENSIONS>(first, last, value);
         if (axis < 0) return here;
         const size_t middle = (first + last) / 2;
-        const auto at = [&](size_t i) { return order.begin() + std::ptrdiff_t(i); };
-        std::nth_element(at(first), at(middle), at(last),
-                         [&](size_t i, size_t j) { return value(i, axis) < value(j, axis); });
+        const auto at = [&](size_t i) { return keys.begin() + std::ptrdiff_t(i); };
+        for (size_t i = first; i < last; ++i) keys[i] = {value(order[i], axis), order[i]};
+        std::nth_element(at(first), at(middle), at(last), [](const Key &i, const Key &j) { return i.value < j.value; });
+        for (size_t i = first; i < last; ++i) order[i] = keys[i].row;
         Value low = LEAST;
-        for (size_t i = first; i < middle; ++i) low = std::max(low, value(order[i], axis));
-        const Value high = value(order[middle], axis);
-        split(first, middle, dimensions, leaf, value);
-        const size_t second = split(middle, last, dimensions, leaf, value);
+        for (size_t i = first; i < middle; ++i) low = std::max(low, keys[i].value);
+        const Value high = keys[middle].value;
+        split<DIMENSIONS>(first, middle, leaf, value);
+        const size_t second = split<DIMENSIONS>(middle, last, leaf, value);
         nodes[here].axis = axis;
         nodes[here].low = low;
         nodes[here].high = high;
         nodes[here].second = second;
         return here;
     }
+
+    // The axis along which the rows order[first] to order[last − 1] extend farthest; −1: they are equal.
+    template <int DIMENSIONS, typename Coordinate>
+    int widest_axis(size_t first, size_t last, const Coordinate &value) const {
+        Value least[DIMENSIONS], most[DIMENSIONS], widest = 0;
+        std::fill_n(least, DIMENSIONS, GREATEST);
+        std::fill_n(most, DIMENSIONS, LEAST);
+        for (size_t i = first; i < last; ++i)
+            for (int d = 0; d < DIMENSIONS; ++d) {
+                const Value here = value(order[i], d);
+                least[d] = std::min(least[d], here);
+                most[d] = std::max(most[d], here);
+            }
+        int axis = -1;
+        for (int d = 0; d < DIMENSIONS; ++d)
+            if (most[d] - least[d] > widest) widest = most[d] - least[d], axis = d;
+        return axis;
+    }
+
+    std::vector<Key> keys;
 };

@@ -13,6 +13,7 @@
 #include "joint_limits.h"
 #include "kd_tree.h"
 #include "limb_search.h"
+#include "nearest_data.h"
 #include "nearest_links.h"
 #include "normal_equations.h"
 #include "skinned_body.h"
@@ -33,7 +34,7 @@ class BodyMatcher {
                 double cell, double margin)
         : body(parents, origins, lengths, points, links, weights, normals, colours, nearest, low, size, start, cell,
                margin),
-          equations(body) {}
+          equations(body), nearest(body.rows) {}
     BodyMatcher(const BodyMatcher &) = delete;  // `equations` refers to `body`
 
     // Gauss–Newton from a pose; returns the final rotations and root. steps (n, 3): width of the robust weight, number
@@ -56,7 +57,6 @@ class BodyMatcher {
         body.set_pose(rotations.data(), root.data());
         const Doubles start = body.rotations, start_root = body.root;
         candidates.clear();
-        std::vector<int64_t> nearest(sample.shape(0), -1);
         const std::vector<SearchingRow> searching = own_sample(sample);
         Doubles limited_axes(3 * limited.shape(0));
         size_t since_refresh = 0;           // steps since the last search of all candidates
@@ -71,7 +71,7 @@ class BodyMatcher {
             candidates.find(body, data, candidates.count(), points, allowed.data());
             equations.begin();
             add_data_to_template(data, points, width, noise);
-            add_template_to_data(data, searching, rows, nearest, search_widths * width, width, noise);
+            add_template_to_data(data, searching, rows, search_widths * width, width, noise);
             equations.linearise(tangential);
             equations.add_priors(start, start_root.data(), rest.data(), strengths.data(), root_strength);
             for (size_t k = 0; k < limited.shape(0); ++k)
@@ -80,6 +80,7 @@ class BodyMatcher {
             if (!equations.solve())
                 throw std::runtime_error("BodyMatcher.solve: the normal equations are singular");
             converged_at = move(equations.solution()) < converged ? width : INFINITE;
+            candidates.pose_has_changed();
         }
         Fresh<double> out(9 * body.count), out_root(3);
         std::copy(body.rotations.begin(), body.rotations.end(), out.data.get());
@@ -96,6 +97,7 @@ class BodyMatcher {
         require(rotations, root, allowed, sample);
         require(data);
         body.set_pose(rotations.data(), root.data());
+        candidates.pose_has_changed();
         const size_t n = data.count, k = sample.shape(0);
         if (!is_solved || candidates.count() != n) {
             candidates.clear();
@@ -119,7 +121,7 @@ class BodyMatcher {
         for (const auto &[searching, number] : own_sample(sample)) {
             double query[6], square = squared(limit);
             body.query_of(data, searching, query);
-            const int64_t found = data.nearest(query, square);
+            const int64_t found = nearest.find(data, size_t(searching), query, square);
             gap.data[number] = found < 0 ? limit : std::sqrt(squared_distance(data.point(size_t(found)), query));
             template_cost += std::min(square, truncation * truncation);
         }
@@ -208,19 +210,19 @@ class BodyMatcher {
         std::array<size_t, TOGETHER> batch;
         std::array<SkinnedBody::LookUp, TOGETHER> first;  // look-ups in the nearest links
         size_t count = 0;
+        const auto must_look_up = [&](size_t i) { return !candidates.is_fresh(i) && candidates.of(i)[0].link >= 0; };
         const auto flush = [&] {
             for (size_t p = 0; p < count; ++p)
-                if (candidates.of(batch[p])[0] >= 0) first[p].follow(body);
+                if (must_look_up(batch[p])) first[p].follow(body);
             for (size_t p = 0; p < count; ++p) {
-                int64_t row = -1, link = -1;
-                if (candidates.of(batch[p])[0] >= 0) row = match(data, batch[p], candidates.of(batch[p]), first[p], link);
-                use(batch[p], row, link);
+                const Candidate found = candidates.is_fresh(batch[p]) ? match_found(data, batch[p]) : match(data, batch[p], first[p]);
+                use(batch[p], found.row, found.link);
             }
             count = 0;
         };
         for (size_t i : data.spatial_order()) {
             if (i >= points) continue;
-            if (const int64_t link = candidates.of(i)[0]; link >= 0) first[count].start(body, link, data.point(i));
+            if (must_look_up(i)) first[count].start(body, candidates.of(i)[0].link, data.point(i));
             batch[count++] = i;
             if (count == TOGETHER) flush();
         }
@@ -242,39 +244,54 @@ class BodyMatcher {
         return result;
     }
 
-    // Adds correspondences from the first rows of a sample to the data. nearest: matched data point of each row, updated.
-    void add_template_to_data(const KdTree &data, const std::vector<SearchingRow> &sample, size_t rows,
-                              std::vector<int64_t> &nearest, double reach, double width, double noise) {
+    // Adds correspondences from the first rows of a sample to the data.
+    void add_template_to_data(const KdTree &data, const std::vector<SearchingRow> &sample, size_t rows, double reach,
+                              double width, double noise) {
         for (const auto &[row, k] : sample) {
             if (k >= rows) continue;
             double query[6], limit = squared(reach);
             body.query_of(data, row, query);
-            nearest[k] = data.nearest_from(nearest[k], query, limit);
-            if (nearest[k] >= 0) equations.add_correspondence(row, data.point(size_t(nearest[k])), width, noise);
+            const int64_t found = nearest.find(data, size_t(row), query, limit);
+            if (found >= 0) equations.add_correspondence(row, data.point(size_t(found)), width, noise);
         }
     }
 
-    // The template row nearest to data point i in place and colour, among its candidate links, and the row's link.
-    // nearest: finished look-up in the first link.
-    int64_t match(const KdTree &data, size_t i, const int64_t *links, SkinnedBody::LookUp &nearest, int64_t &link) const {
+    // The template row nearest to data point i in place and colour, among its candidate links. nearest: look-up in the
+    // first link, before it is finished.
+    Candidate match(const KdTree &data, size_t i, SkinnedBody::LookUp &nearest) const {
         const double *x = data.point(i);
-        int64_t row = -1;
-        double distance = INFINITE, reach = distance;
-        for (size_t k = 0; k < CANDIDATES && links[k] >= 0; ++k) {
-            if (k && body.is_beyond(links[k], x, reach)) continue;
-            if (k) nearest.start(body, links[k], x);
-            if (k && body.box_distance(links[k], nearest.local) >= distance) continue;
+        const Candidate *links = candidates.of(i);
+        Candidate best{-1, -1, INFINITE};
+        double reach = INFINITE;
+        for (size_t k = 0; k < CANDIDATES && links[k].link >= 0; ++k) {
+            if (k && body.is_beyond(links[k].link, x, reach)) continue;
+            if (k) nearest.start(body, links[k].link, x);
+            if (k && body.box_distance(links[k].link, nearest.local) >= best.square) continue;
             if (k) nearest.follow(body);
             nearest.finish();
-            double sum = nearest.square;
-            if (body.coloured && data.coloured) {
-                double colour = 0;
-                for (int d = 0; d < 3; ++d) colour += squared(x[3 + d] - body.colours[3 * nearest.row + d]);
-                sum += std::min(colour, MAX_COLOUR_M * MAX_COLOUR_M);
-            }
-            if (sum < distance) distance = sum, reach = std::sqrt(sum), row = nearest.row, link = links[k];
+            const double sum = nearest.square + colour_square(data, x, nearest.row);
+            if (sum < best.square) best = {links[k].link, int32_t(nearest.row), sum}, reach = std::sqrt(sum);
         }
-        return row;
+        return best;
+    }
+
+    // `match` of a point whose candidates were found in the current pose.
+    Candidate match_found(const KdTree &data, size_t i) const {
+        const Candidate *links = candidates.of(i);
+        Candidate best{-1, -1, INFINITE};
+        for (size_t k = 0; k < CANDIDATES && links[k].link >= 0; ++k) {
+            const double sum = links[k].square + colour_square(data, data.point(i), links[k].row);
+            if (sum < best.square) best = {links[k].link, links[k].row, sum};
+        }
+        return best;
+    }
+
+    // Squared difference in colour of a data point from a template row, limited; 0 without colours.
+    double colour_square(const KdTree &data, const double *x, int64_t row) const {
+        if (!body.coloured || !data.coloured) return 0;
+        double sum = 0;
+        for (int d = 0; d < 3; ++d) sum += squared(x[3 + d] - body.colours[3 * size_t(row) + d]);
+        return std::min(sum, MAX_COLOUR_M * MAX_COLOUR_M);
     }
 
     // Applies a step to the pose. Returns the largest motion of the root, or of a
@@ -306,6 +323,7 @@ class BodyMatcher {
     SkinnedBody body;
     NormalEquations equations;
     LinkCandidates candidates;
+    NearestData nearest;
 };
 
 // Extrapolates rotations (n, 3, 3): current · exp(share · log(previousᵀ current)).

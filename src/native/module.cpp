@@ -48,10 +48,11 @@
 //                   chunk_synthesis.h (integers to positions), chunk_errors.h, chunk_analysis.h (positions to coefficients),
 //                   chunk_quantiser.h (to integers) and chunk_packer.h (to bytes); coefficients.cpp shares contexts.h,
 //                   bone_coordinates.cpp bone_coordinates.h
-//   matching.cpp    registration of a body to points, for geometry/body_matching.py and limb_search.py; its parts are kd_tree.h (nearest
-//                   points), skinned_body.h (template and pose), nearest_links.h (candidate links), normal_equations.h (Gauss–Newton step), joint_limits.cpp
-//                   (nearest allowed rotation), limb_search.h (random poses of a limb) and algebra3.h (vectors of 3, 3 × 3
-//                   matrices)
+//   matching.cpp    registration of a body to points, for geometry/body_matching.py and limb_search.py; its parts are
+//                   kd_tree.h (nearest points), nearest_data.h (those of template points), skinned_body.h (template and
+//                   pose), nearest_links.h (candidate links), normal_equations.h (Gauss–Newton step), joint_limits.cpp
+//                   (nearest allowed rotation), limb_search.h (random poses of a limb) and algebra3.h (vectors of 3,
+//                   3 × 3 matrices)
 //
 // A file with kernels defines `void bind_NAME(nb::module_ &)`; list NAME in PARTS below. Python looks a kernel up by
 // name (`mocodec.native.kernel`) and runs its NumPy code if there is none. If bytes depend on a kernel, it returns the

@@ -16,7 +16,7 @@ public:
 
     // points: magnitudes of coordinates below 2^30.
     explicit NearestOthers(const std::vector<Place> &points) {
-        tree_.build(points.size(), 3, LEAF, [&](size_t row, int axis) { return points[row][size_t(axis)]; });
+        tree_.build<3>(points.size(), LEAF, [&](size_t row, int axis) { return points[row][size_t(axis)]; });
         for (size_t row : tree_.order) sorted_.push_back(points[row]);
     }
 

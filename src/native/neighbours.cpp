@@ -23,7 +23,7 @@ class NearestPoints {
 
     // points (count, 3)
     NearestPoints(const double *points, size_t count) {
-        tree_.build(count, 3, LEAF, [&](size_t row, int axis) { return points[3 * row + size_t(axis)]; });
+        tree_.build<3>(count, LEAF, [&](size_t row, int axis) { return points[3 * row + size_t(axis)]; });
         for (size_t row : tree_.order) sorted_.push_back({points[3 * row], points[3 * row + 1], points[3 * row + 2]});
     }
 

@@ -169,8 +169,11 @@ class NormalEquations {
         PairSums &sum = sums[pair_of_row[row]];
         const double first = point.weight, second = 1 - first, weight = target.weight;
         const double shares[3] = {weight * first * first, weight * first * second, weight * second * second};
-        for (int s = 0; s < (second == 0 ? 1 : 3); ++s)
-            for (size_t i = 0; i < SYMMETRIC; ++i) sum.square[s][i] += shares[s] * outer[i];
+        if (second == 0)
+            for (size_t i = 0; i < SYMMETRIC; ++i) sum.square[0][i] += shares[0] * outer[i];
+        else
+            for (size_t i = 0; i < SYMMETRIC; ++i)
+                for (int s = 0; s < 3; ++s) sum.square[s][i] += shares[s] * outer[i];
         for (int i = 0; i < 6; ++i) {
             sum.right[0][i] += first * right[i];
             sum.right[1][i] += second * right[i];

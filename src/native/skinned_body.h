@@ -90,9 +90,11 @@ class SkinnedBody {
         a.resize(9 * count);
         b.resize(3 * count);
         world_ends.resize(6 * count);
+        world_axes.resize(3 * count);
         for (size_t link = 0; link < count; ++link) {
             update_transform(int64_t(link));
             for (size_t end = 2 * link; end < 2 * link + 2; ++end) place(link, &ends[3 * end], &world_ends[3 * end]);
+            for (size_t d = 0; d < 3; ++d) world_axes[3 * link + d] = world_ends[6 * link + 3 + d] - world_ends[6 * link + d];
         }
     }
 
@@ -182,7 +184,12 @@ class SkinnedBody {
 
     // Whether the link's capsule shows that no template point is nearer to a world place than `reach`.
     bool is_beyond(int64_t link, const double *place, double reach) const {
-        return squared_distance_from_segment(place, &world_ends[6 * link]) >= squared(radii[link] + reach);
+        const double *axis = &world_axes[3 * link];
+        double from[3];
+        for (int d = 0; d < 3; ++d) from[d] = place[d] - world_ends[6 * link + d];
+        const double share = std::min(std::max(dot(from, axis) * inverse_squares[link], 0.0), 1.0);
+        for (int d = 0; d < 3; ++d) from[d] -= share * axis[d];
+        return dot(from, from) >= squared(radii[link] + reach);
     }
 
     // Squared distance of a place, in a link's coordinates, from the bounding box of the link's template points: a
@@ -207,14 +214,15 @@ class SkinnedBody {
     const Doubles colours;
     std::vector<char> has_points;
     Doubles ends, radii;                      // capsules around the links' template points: (links, 2, 3) canonical
+    Doubles inverse_squares;                  // one over the squared distance of a capsule's ends
     Doubles rotations, root;                  // the current pose
-    Doubles a, b, world_ends;                 // computed from the pose
+    Doubles a, b, world_ends, world_axes;     // computed from the pose; axes: from one end of a capsule to the other
 
   private:
     static std::vector<size_t> spatial_order(Input<double, 2> points) {
         KdNodes<double> tree;
         if (points.shape(1) == 3)
-            tree.build(points.shape(0), 3, 1, [&](size_t row, int axis) { return points.data()[3 * row + size_t(axis)]; });
+            tree.build<3>(points.shape(0), 1, [&](size_t row, int axis) { return points.data()[3 * row + size_t(axis)]; });
         return tree.order;
     }
 
@@ -319,6 +327,7 @@ class SkinnedBody {
         }
         ends.insert(ends.end(), best.begin(), best.end());
         radii.push_back(best_radius);
+        inverse_squares.push_back(1 / std::max(squared_distance(&best[0], &best[3]), 1e-12));
     }
 
     std::vector<Grid> grids;

@@ -135,6 +135,20 @@ def test_compiled_prediction_equals_numpy(scene):
 
 
 @compiled
+@pytest.mark.parametrize("coloured", [True, False])
+def test_neighbours_known_from_earlier_solutions_change_nothing(scene, coloured):
+    matcher, data = matcher_of(scene, coloured)
+    rest, near = articulation.Pose.canonical(len(matcher.body)), pose_near_canonical(matcher.body)
+    prior, steps = prior_of(matcher.body), [Step(width, 1500, 300) for width in (0.2, 0.1, 0.05, 0.03, 0.02)]
+    for start in (near, rest, near):
+        unknown = data.subset(np.arange(len(data.points)))
+        found, expected = matcher.fit(data, start, steps, prior), matcher.fit(unknown, start, steps, prior)
+        np.testing.assert_array_equal(found.pose.rotations, expected.pose.rotations)
+        np.testing.assert_array_equal(found.gaps, expected.gaps)
+        assert found.cost == expected.cost
+
+
+@compiled
 def test_kernels_refuse_arrays_of_wrong_shape(scene):
     fast, data = matcher_of(scene, True)
     pose, prior = pose_near_canonical(fast.body), prior_of(fast.body)

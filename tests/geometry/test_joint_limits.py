@@ -219,7 +219,7 @@ def test_a_joint_beyond_its_limits_returns(scene, numpy_alone):
 def test_limits_do_not_affect_poses_within_them(scene):
     matcher, data = matcher_of(scene)
     limits = scene[5]
-    wide = limits._replace(half_width=np.maximum(limits.half_width, 3.0))
+    wide = replace(limits, half_width=np.maximum(limits.half_width, 3.0))
     prior = prior_of(scene, 1.0, 100.0)
     start = articulation.Pose.canonical(len(scene[1]))
     steps = [Step(width, 1500, 300) for width in (0.1, 0.05, 0.02)]
@@ -227,9 +227,8 @@ def test_limits_do_not_affect_poses_within_them(scene):
     found = matcher.solve(data, start, steps, prior._replace(limits=wide))
     assert np.array_equal(found.rotations, expected.rotations)
     assert np.array_equal(found.root, expected.root)
-    pulled = matcher.solve(
-        data, start, steps, prior._replace(limits=limits._replace(half_width=np.full_like(limits.half_width, 1e-3)))
-    )
+    narrow = replace(limits, half_width=np.full_like(limits.half_width, 1e-3))
+    pulled = matcher.solve(data, start, steps, prior._replace(limits=narrow))
     assert not np.array_equal(pulled.rotations, expected.rotations)
 
 
@@ -247,10 +246,9 @@ def test_compiled_limits_equal_numpy(scene):
             with native.without():
                 expected = numpy_matcher.solve(numpy_data, start, steps[:number], prior)
             np.testing.assert_allclose(found.rotations, expected.rotations, atol=1e-7)
+    beyond = prior._replace(limits=replace(prior.limits, links=prior.limits.links + 1000))
     with pytest.raises(ValueError, match="beyond the body"):
-        fast.solve(
-            data, bent(scene), steps, prior._replace(limits=prior.limits._replace(links=prior.limits.links + 1000))
-        )
+        fast.solve(data, bent(scene), steps, beyond)
 
 
 def test_hypotheses_are_clamped_to_limits(scene):

@@ -10,6 +10,8 @@ c that is Rx(α) Ry(β) Rz(γ), with the axes permuted for another rotation orde
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property
 from operator import itemgetter
 from typing import NamedTuple
 
@@ -28,7 +30,8 @@ SWEEPS = 4
 """Number of sweeps of coordinate descent over the three angles of a clamped rotation."""
 
 
-class LinkLimits(NamedTuple):
+@dataclass(frozen=True, eq=False)
+class LinkLimits:
     """links (k,): those with limits. The rotation R of such a link is allowed if before · R · after (k, 3, 3 each) is
     Rx Ry Rz by angles within `half_width` (k, 3) of `centre` (k, 3), radians. A half width is infinite for a free
     angle.
@@ -40,15 +43,18 @@ class LinkLimits(NamedTuple):
     centre: Floats
     half_width: Floats
 
-    @property
+    @cached_property
     def table(self) -> Floats:
         """(k, 24): all but `links` as one row per link, for the compiled kernel."""
-        return np.concatenate([array.reshape(len(array), int(np.prod(array.shape[1:]))) for array in self[1:]], axis=1)
+        count = len(self.links)
+        matrices = [array.reshape(count, 9) for array in (self.before, self.after)]
+        return np.concatenate([*matrices, self.centre, self.half_width], axis=1)
 
     def subset(self, links: AnyInteger) -> LinkLimits:
         """The limits of some links."""
         chosen = np.isin(self.links, links)
-        return LinkLimits(*(array[chosen] for array in self))
+        arrays = self.links, self.before, self.after, self.centre, self.half_width
+        return LinkLimits(*(array[chosen] for array in arrays))
 
 
 NO_LIMITS = LinkLimits(np.zeros(0, np.int64), *np.zeros((2, 0, 3, 3)), *np.zeros((2, 0, 3)))
@@ -170,7 +176,8 @@ def nearest_allowed(limits: LinkLimits, rotations: Floats) -> tuple[Floats, Bool
     if not outside.any():
         return rotations, outside
     result, row = rotations.copy(), np.nonzero(outside)[-1]
-    before, after, centre, half_width = (array[row] for array in limits[1:])
+    arrays = limits.before, limits.after, limits.centre, limits.half_width
+    before, after, centre, half_width = (array[row] for array in arrays)
     target, angles = turn[outside], centre + clamped[:, outside]
     for _ in range(SWEEPS):
         for axis in range(3):
