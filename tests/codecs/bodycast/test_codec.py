@@ -7,7 +7,13 @@ import pytest
 
 import mocodec as mc
 from mocodec import container
-from mocodec.codecs.bodycast import Bodycast, tracking
+from mocodec.codecs.bodycast import Bodycast, integer_surface, tracking
+from mocodec.codecs.bodycast.body_model import unpack_models
+from mocodec.codecs.bodycast.chunk_payload import unpack_chunk
+from mocodec.codecs.bodycast.decoder import SceneDecoder
+from mocodec.codecs.bodycast.point_layer import PlacesEncoder
+from mocodec.codecs.bodycast.point_scene import ChunkBodies
+from mocodec.codecs.clouds import body_record
 from mocodec.encoded import Chunk, Encoded
 from mocodec.errors import BadInput, CannotEncode, Corrupt, MocodecError
 from mocodec.geometry import articulation, body_tracking, skinning
@@ -265,3 +271,39 @@ def test_damaged_bytes_raise_corrupt_or_decode(performance, small):
             Bodycast.decode(broken)
         except MocodecError as error:
             assert isinstance(error, Corrupt)  # noqa: PT017
+
+
+@pytest.mark.parametrize("settings", [{"max_error": 0.01}, {"residual": "exact"}])
+def test_an_encoder_codes_points_from_the_very_bodies_that_a_decoder_reads(settings, monkeypatch):
+    coded = list[ChunkBodies]()
+    begin = PlacesEncoder.__init__
+
+    def recorded(self, grid, frames, bodies, *rest, **named):
+        coded.append(bodies)
+        begin(self, grid, frames, bodies, *rest, **named)
+
+    monkeypatch.setattr(PlacesEncoder, "__init__", recorded)
+    performance = sequences.turning(actors.capsules(), 8).moved((7000.0, -300.0, 5000.0))  # where floats are coarse
+    clouds = sequences.record(performance, 200, seed=3)
+    encoded = Bodycast(skeleton=performance.skeleton(), **settings).encode(clouds)
+    scene, streams = SceneDecoder(unpack_models(encoded.shared), coloured=True), unpack_chunk(encoded.chunks[0], 1)
+    own, read = coded[-1], ChunkBodies(scene.textures, scene._poses(streams, len(clouds)), streams.is_absent)
+    np.testing.assert_array_equal(own.textures[0].canonical, read.textures[0].canonical)
+    for k in range(len(clouds)):
+        np.testing.assert_array_equal(own.pose_values(k), read.pose_values(k))
+    assert len(Bodycast.decode(encoded)) == len(clouds)
+
+
+@pytest.mark.parametrize("largest", [1.0, 1e9])
+def test_values_keep_some_floats_from_the_border(largest):
+    values = largest + np.array([0, 1 - 1 / 64 - 2 * np.spacing(largest)])
+    shift = integer_surface.rounding_shift(values)
+    for change in (-4, 4):
+        moved = values + change * np.spacing(largest)
+        np.testing.assert_array_equal(integer_surface.rounded(moved, shift), integer_surface.rounded(values, shift))
+
+
+def test_a_body_that_no_decoder_would_read_is_refused(performance, small, monkeypatch):
+    monkeypatch.setattr(body_record, "MAX_LINKS", 3)
+    with pytest.raises(CannotEncode, match="cannot store this body"):
+        Bodycast(max_error=0.01, skeleton=performance.skeleton()).encode(small)

@@ -7,13 +7,13 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ...errors import CannotEncode
+from ...errors import CannotEncode, Corrupt
 from ...geometry.articulation import Pose
 from ...geometry.body_matching import FramePoints
 from ...typing import Bytes, Integers
 from ..clouds.raw_frames import Cloud
 from . import video
-from .body_model import MAX_POINTS, BodyModel, pack_model
+from .body_model import MAX_POINTS, BodyModel, pack_model, unpack_model
 from .chunk_payload import BodyStreams
 from .point_scene import SurfaceTexture
 from .pose_stream import PoseSequence, PoseSteps, pack_poses, unpack_poses
@@ -49,13 +49,15 @@ class BodyEncoder:
     """Collects the frames of one body with `add_frame`, then makes its model and its streams.
 
     is_present, outlier_share: for each frame, whether the body is in it, and the share of its points that the pose does
-    not explain. model, planes: after `build_model`, with the key picture before compression.
+    not explain. After `build_model`: packed_model: the model as bytes; model: as a decoder reads it, to the last bit of
+    its floats, since contexts follow from them; planes: the key picture before compression.
     """
 
     def __init__(self, person: PersonTracker) -> None:
         self.person = person
         self.clouds, self.poses = list[Cloud](), list[Pose]()
         self.is_present, self.outlier_share = list[bool](), list[float]()
+        self.packed_model: bytes
         self.model: BodyModel
         self.planes: Bytes
 
@@ -75,11 +77,6 @@ class BodyEncoder:
     def texture(self) -> SurfaceTexture:
         """What points are coded from; after `build_model`."""
         return SurfaceTexture(self.model)
-
-    @cached_property
-    def packed_model(self) -> bytes:
-        """The model as bytes; after `build_model`."""
-        return pack_model(self.model)
 
     @property
     def is_explained(self) -> bool:
@@ -114,7 +111,12 @@ class BodyEncoder:
         own = points_per_frame if is_only_body else int(np.mean([len(self.clouds[i][0]) for i in present]))
         decoded_points = min(parameters.points or max(own, 1), MAX_POINTS)
         is_surface = surface_cells(atlas, self.planes, sums)
-        self.model = BodyModel(atlas, pose_steps, is_surface, key_picture, coloured, decoded_points, picture_interval=1)
+        model = BodyModel(atlas, pose_steps, is_surface, key_picture, coloured, decoded_points, picture_interval=1)
+        self.packed_model = pack_model(model)
+        try:
+            self.model = unpack_model(self.packed_model)
+        except Corrupt as error:
+            raise CannotEncode(f"bodycast cannot store this body: {error}") from error
 
     def _observe_surface(self, present: Integers, refine: bool) -> list[CanonicalPoints]:
         """Canonical points of SURFACE_FRAMES of the frames `present`. refine: refine the poses of all of them first."""
@@ -135,7 +137,7 @@ class BodyEncoder:
         """The streams of a run of frames, and its poses as they are decoded."""
         sequence, steps = PoseSequence.from_poses(self.poses[span]), self.model.pose_steps
         stream = pack_poses(self.person.body, sequence, steps)
-        return BodyStreams(stream, ()), unpack_poses(self.person.body, stream, span.stop - span.start, steps)
+        return BodyStreams(stream, ()), unpack_poses(self.model.atlas.body, stream, span.stop - span.start, steps)
 
 
 def _evenly_chosen(frames: Integers, limit: int) -> list[int]:

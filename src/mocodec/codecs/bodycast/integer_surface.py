@@ -25,6 +25,7 @@ from .surface_sampling import SurfaceSamples
 
 SHIFTS = 64  # of the rounding, in 1/64 of a step
 MARGIN = 1e-7  # of a step, that values keep from the border
+MARGIN_SPACINGS = 8  # of floats as large as the largest value, that they keep too
 SAMPLES = 8000  # of the surface of a body
 PLACE_BITS = 16  # places are in 2^-16 m
 TURN_BITS = 20  # entries of rotation matrices are in 2^-20
@@ -38,9 +39,10 @@ TIES = 8  # samples at the same distance that a search may end with
 def rounding_shift(values: Floats) -> int:
     """The first shift at which no value lies near a border; 0 if there is none."""
     fraction = values.reshape(-1) % 1.0
+    margin = max(MARGIN, MARGIN_SPACINGS * float(np.spacing(np.abs(values).max(initial=0.0))))
     for shift in range(SHIFTS):
         moved = (fraction + shift / SHIFTS) % 1.0
-        if ((moved > MARGIN) & (moved < 1 - MARGIN)).all():
+        if ((moved > margin) & (moved < 1 - margin)).all():
             return shift
     return 0
 

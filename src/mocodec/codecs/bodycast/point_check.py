@@ -5,8 +5,9 @@
     coded points ─► distances ≤ bound
 
 `ChunkCheck` follows the encoder. Whatever else a decoder computes is a function of the header, the bodies and earlier
-bits, so it is shared: while all of these are equal, it decodes the points of the encoder. That encoder and decoder
-compute the same is checked with the first frames, which are decoded by the decoder alone. `check_decoded` decodes all
+bits, so it is shared: while all of these are equal, it decodes the points of the encoder. The bodies are those that a
+decoder reads from the file (`BodyEncoder.model`). That encoder and decoder compute the same is checked with the first
+frames, which are decoded by the decoder alone. `check_decoded` decodes all
 frames so, for encoders that keep no bits.
 """
 

@@ -19,7 +19,9 @@ MIN_RADIUS_M = 1e-3
 
 
 def round_body(body: Body) -> Body:
-    """The body as `unpack_body` returns it: lengths in whole millimetres, no joints of a skeleton."""
+    """The body as `unpack_body` returns it, up to the last bits of floats: lengths in whole millimetres, no joints of a
+    skeleton.
+    """
     body = replace(body, joints=())
     grid = [np.round(values / MILLIMETRE) * MILLIMETRE for values in (body.origins, body.tips, body.radii)]
     return replace(body, origins=grid[0], tips=grid[1], radii=grid[2])
