@@ -19,6 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from .. import api
+from ..codecs.tempo import Tempo
 from ..errors import BadInput, Corrupt, MissingExtra
 from ..motion import Motion
 
@@ -106,7 +107,7 @@ def encode_block(block: NDArray[Any], codec: MocodecCodec) -> bytes:
     largest = float(np.nanmax(np.abs(block), initial=0.0, where=~np.isnan(block)))
     bound = codec.atol - ROUNDING * float(np.spacing(np.asarray(largest, block.dtype)))
     if bound > 0:
-        return api.encode(motion, max_error=bound)
+        return api.encode(motion, Tempo(max_error=bound))  # in the unit of the array, which need not be metres
     return api.encode(motion, "lossless", float64=block.dtype == np.float64)
 
 
