@@ -144,7 +144,7 @@ def test_packed_colours_in_text(tmp_path, kind, value, colour, note):
 
 def test_old_headers_organised_clouds_and_viewpoints(tmp_path):
     (tmp_path / "a.pcd").write_bytes(
-        b"# .PCD v.5\r\nCOLUMNS X y Z\r\nPOINTS 2\r\nDATA ascii\r\n1 2 3\r\n\r\n4 5 6\r\n7 8 9\r\n"
+        b"# .PCD v.5\r\nCOLUMNS X y Z\r\nPOINTS 3\r\nDATA ascii\r\n1e40 0 0\r\n1 2 3\r\n\r\n4 5 6\r\n7 8 9\r\n"
     )
     assert read(tmp_path / "a.pcd").positions[0].tolist() == [[1, 2, 3], [4, 5, 6]]
     (tmp_path / "a.pcd").write_text(

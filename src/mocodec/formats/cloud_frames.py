@@ -264,7 +264,8 @@ def of_type(numbers: Floats, kind: str, name: str, path: Path) -> np.ndarray[Any
         limits = np.iinfo(kind)
         if not ((numbers >= limits.min) & (numbers <= limits.max)).all():
             raise BadInput(f"{path}: {name} is outside the range of its type")
-    return numbers.astype(kind)
+    with np.errstate(over="ignore", invalid="ignore"):  # of numbers that float32 or 64 bits cannot hold
+        return numbers.astype(kind)
 
 
 def _is_number(token: bytes) -> bool:
