@@ -104,7 +104,7 @@ def recordings(name: str | Path, quick: bool = False) -> list[Recording]:
 
 def of_folder(folder: Path) -> Iterator[Recording]:
     """All files in a folder and its subfolders with the suffix of a motion format, sorted by name."""
-    motion_suffixes = {s for s in formats.FORMATS if s not in (".asf", ".ply")} | {".mocz"}
+    motion_suffixes = {s for s in formats.FORMATS if s not in (".asf", ".ply", ".pcd")} | {".mocz"}
     for path in sorted(folder.rglob("*")):
         if path.is_file() and path.suffix.lower() in motion_suffixes:
             yield labelled(path, folder)

@@ -48,7 +48,7 @@ def read(path: AnyPath, kind: None = None, *, fps: float, **options: Any) -> Poi
 @overload
 def read(path: AnyPath, kind: None = None, **options: Any) -> Recording: ...
 def read(path: AnyPath, kind: type[Recording] | None = None, **options: Any) -> Recording:
-    """Read a recording: .c3d .trc .bvh .amc .npz .npy .glb .csv .sto …, a folder of .ply, or a .mocz, by its suffix.
+    """Read a recording by its suffix: .c3d .trc .bvh .amc .npz .npy .glb .csv …, a .mocz, or a folder of .ply or .pcd.
 
         motion = mocodec.read("walk.c3d", mocodec.Motion)
         motion = mocodec.read("walk.bvh", unit="cm")
@@ -57,7 +57,7 @@ def read(path: AnyPath, kind: type[Recording] | None = None, **options: Any) -> 
     kind: `Motion` or `PointClouds`: a file of the other kind is an error, and type checkers know the result.
     options: those of the format's reader (docs/formats.md; `mocodec.formats.read_options(path)` lists them). Most take
     unit ("mm", or metres per unit), rate (hertz), up ("x", "y", "z") and start (seconds) in place of what the file
-    says; an .amc takes asf, a folder of .ply fps.
+    says; an .amc takes asf, a folder of .ply or .pcd fps.
 
     Returns positions in metres. Raises BadInput; for a .mocz also what `decode` raises.
     """

@@ -44,6 +44,7 @@
 //   body_frames.cpp       poses to positions, for codecs/liu2006
 //   positions.cpp   one pass over positions, for codecs/tempo and metrics/motion.py
 //   varints.cpp     many varints at once, for fields/cursor.py
+//   lzf.cpp         LZF decompression, for formats/lzf.py
 //   chunk_codec.cpp whole chunks, for codecs/tempo/compiled_chunks.py; its parts are chunk_symbols.h (bytes to integers),
 //                   chunk_synthesis.h (integers to positions), chunk_errors.h, chunk_analysis.h (positions to coefficients),
 //                   chunk_quantiser.h (to integers) and chunk_packer.h (to bytes); coefficients.cpp shares contexts.h,
@@ -70,7 +71,7 @@ namespace nb = nanobind;
     PART(point_smoothing) PART(positions) PART(link_surfaces) PART(state_stream) PART(body_frames) \
     PART(ordered) PART(lattice_neighbours) PART(marker_fitting)         \
     PART(reference_surface) PART(ppca) PART(point_choice) PART(lattice_frames) PART(clip_synthesis) PART(clip_lengths) PART(clip_quantiser) \
-    PART(motion_segments) PART(bounded) PART(first_pose) PART(neighbours)
+    PART(motion_segments) PART(bounded) PART(first_pose) PART(neighbours) PART(lzf)
 
 #define DECLARE(name) void bind_##name(nb::module_ &);
 PARTS(DECLARE)

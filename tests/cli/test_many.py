@@ -226,9 +226,9 @@ def test_usage_errors_come_before_any_work(folder: Path, command: Command, argum
 def test_a_folder_without_recordings_is_named_as_such(tmp_path: Path, command: Command) -> None:
     result = command("encode", tmp_path, "-o", tmp_path / "x.mocz")
     assert (result.code, "there is no file that `mocodec encode` reads" in result.err) == (cli.USAGE, True)
-    (tmp_path / "scan.pcd").write_bytes(b"")
+    (tmp_path / "scan.xyz").write_bytes(b"")
     result = command("info", tmp_path)
-    assert (result.code, f"{tmp_path}: there is no file" in result.err, ".ply is read" in result.err) == (
+    assert (result.code, f"{tmp_path}: there is no file" in result.err, ".ply and .pcd are read" in result.err) == (
         cli.USAGE,
         True,
         True,

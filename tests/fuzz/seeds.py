@@ -53,6 +53,7 @@ def files() -> tuple[Seed, ...]:
     array = io.BytesIO()
     np.save(array, walk.positions)
     seeds += [Seed("joints.npy", array.getvalue(), {}), Seed("cloud.ply", _ply(), {})]
+    seeds += [Seed(f"{encoding}.pcd", _pcd(encoding), {}) for encoding in ("ascii", "binary", "binary_compressed")]
     return (*seeds, *_shared())
 
 
@@ -63,9 +64,18 @@ def _ply() -> bytes:
     return (head + "property uchar blue\nend_header\n").encode() + np.zeros(5, row).tobytes()
 
 
+def _pcd(encoding: str) -> bytes:
+    """Five points, all numbers zero."""
+    head = "VERSION 0.7\nFIELDS x y z rgb\nSIZE 4 4 4 4\nTYPE F F F U\nCOUNT 1 1 1 1\nWIDTH 5\nHEIGHT 1\nPOINTS 5\n"
+    packed = b"\x00\x00" + b"\xe0\x46\x00"  # LZF: a zero, and 79 from one byte back
+    sizes = np.array([len(packed), 80], "<u4").tobytes()
+    data = {"ascii": b"0 0 0 0\n" * 5, "binary": bytes(80), "binary_compressed": sizes + packed}
+    return f"{head}DATA {encoding}\n".encode() + data[encoding]
+
+
 def _shared() -> list[Seed]:
     found: list[Seed] = []
-    suffixes = {".c3d", ".trc", ".bvh", ".npz", ".npy", ".glb", ".gltf", ".ply"}
+    suffixes = {".c3d", ".trc", ".bvh", ".npz", ".npy", ".glb", ".gltf", ".ply", ".pcd"}
     for folder in SHARED:
         for path in sorted(folder.rglob("*")) if folder.is_dir() else ():
             if path.suffix in suffixes and path.stat().st_size <= LARGEST_SEED:

@@ -16,7 +16,7 @@ SUBJECT = re.compile(r"(?:^|[^a-z])(?:subject|subj|sub|actor|person|s|p)[-_ ]?(\
 NUMBERED = re.compile(r"^(\d{1,9})_(\d{1,9})$")
 """Carnegie Mellon's names: subject and trial."""
 NO_LABELS = frozenset(
-    "subject subj sub actor person s p trial take t c3d trc bvh amc npz npy glb gltf ply mot sto csv mocz "  # noqa: SIM905
+    "subject subj sub actor person s p trial take t c3d trc bvh amc npz npy glb gltf ply pcd mot sto csv mocz "  # noqa: SIM905
     "the of and a data poses stageii files file motion mocap".split()
 )
 """Words of names that say nothing about the movement."""

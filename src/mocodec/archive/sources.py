@@ -33,8 +33,9 @@ URL = re.compile(r"[a-z][a-z0-9+.-]+://", re.IGNORECASE)
 
 @dataclass(frozen=True)
 class Source:
-    """path: relative, with "/", as the catalogue shows it. origin: the file, folder of .ply, packed file or URL that it
-    is in. member: its name in a packed file. companions: names beside it there. stamp: bytes and time of change (ns).
+    """path: relative, with "/", as the catalogue shows it. origin: the file, folder of frames, packed file or URL that
+    it is in. member: its name in a packed file. companions: names beside it there. stamp: bytes and time of change
+    (ns).
     """
 
     path: str

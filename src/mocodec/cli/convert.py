@@ -37,9 +37,9 @@ def command(
 ) -> None:
     """Convert IN to OUT, in the format of its suffix, without compression.
 
-    IN is a file of any format, a .mocz (also a URL), a folder of .ply, or "-". OUT is a .bvh .amc .c3d .trc .glb .npz
-    …, a folder for point clouds, or "-". Rotations stay rotations: an .amc becomes a .bvh with a joint at the start of
-    each bone, a .bvh an .amc with its .asf beside it. A note says what the format of OUT cannot hold.
+    IN is a file of any format, a .mocz (also a URL), a folder of .ply or .pcd, or "-". OUT is a .bvh .amc .c3d .trc
+    .glb .npz …, a folder for point clouds, or "-". Rotations stay rotations: an .amc becomes a .bvh with a joint at the
+    start of each bone, a .bvh an .amc with its .asf beside it. A note says what the format of OUT cannot hold.
 
     --unit, --up, --start and --from-rate say how IN is read, in place of what it says; --to-unit, --to-up and --to-rate
     (or --rate) say how OUT is to be.

@@ -113,7 +113,7 @@ def command(
     again: bool,
     **options: Any,
 ) -> int | None:
-    """Compress the recording IN (.c3d .trc .bvh .amc .npz …, a folder of .ply, or "-") into a .mocz file.
+    """Compress the recording IN (.c3d .trc .bvh .amc .npz …, a folder of .ply or .pcd, or "-") into a .mocz file.
 
     `mocodec encode walk.c3d` writes walk.mocz beside it, and replaces no file; -o names another one.
 

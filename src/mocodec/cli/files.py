@@ -220,7 +220,7 @@ def with_known_rate(name: str, options: dict[str, Any], known: Motion | PointClo
     compared with, unless the user gave one.
     """
     chosen = given(**options)
-    option = {"": "fps", ".ply": "fps", ".npy": "rate"}.get(Path(name).suffix.lower())
+    option = {"": "fps", ".ply": "fps", ".pcd": "fps", ".npy": "rate"}.get(Path(name).suffix.lower())
     wanted = PointClouds if option == "fps" else Motion
     if option is None or is_url(name) or {"fps", "rate"} & chosen.keys() or not isinstance(known, wanted):
         return chosen

@@ -2,7 +2,8 @@
 
     arguments ─find─► sources ─mirrored─► outputs ─done before? (journal)─► tasks ─workers─► records ─► summary table
 
-A folder whose .ply files are the frames of a recording is one source. A source that fails is counted, with its reason.
+A folder whose .ply or .pcd files are the frames of a recording is one source. A source that fails is counted, with its
+reason.
 """
 
 from __future__ import annotations
@@ -52,7 +53,7 @@ again_option = sections.option(
 
 @dataclass(frozen=True)
 class Source:
-    """path: of a file, a folder of .ply, or a URL. name: relative, with "/", as it is shown and mirrored."""
+    """path: of a file, a folder of frames, or a URL. name: relative, with "/", as it is shown and mirrored."""
 
     path: str
     name: str
@@ -94,7 +95,7 @@ def is_folder(output: str) -> bool:
 
 
 def is_recording(path: str) -> bool:
-    """Whether a path is a folder whose only recordings are the .ply frames in it."""
+    """Whether a path is a folder whose only recording are the frames in it: .ply or .pcd."""
     return Path(path).is_dir() and [s.path for s in find([path], formats.FORMATS)] == [path]
 
 
@@ -102,7 +103,7 @@ def find(arguments: Sequence[str], suffixes: Collection[str]) -> list[Source]:
     """The sources that the arguments name, sorted by name: files as they are, and those in folders with these suffixes.
 
     One folder: names are relative to it. Otherwise names are relative to the folder that contains all arguments.
-    Hidden files and folders are left out. Raises a usage error for "-", and for several .ply files of one folder.
+    Hidden files and folders are left out. Raises a usage error for "-", and for several frames of one folder.
     """
     if "-" in arguments:
         raise click.UsageError('"-" cannot be one of many files')
@@ -143,13 +144,14 @@ def find_readable(command: str, arguments: Sequence[str], suffixes: Collection[s
 
 
 def refuse_frames(paths: Sequence[str]) -> None:
-    """Raises a usage error for several .ply files of one folder: they are frames of one recording."""
-    folders = [os.path.dirname(path) for path in paths if path.lower().endswith(".ply")]
-    for folder in folders:
-        if folders.count(folder) > 1:
-            raise click.UsageError(
-                f"several .ply files of one folder are frames of one recording: name the folder {folder or '.'}"
-            )
+    """Raises a usage error for several .ply or .pcd files of one folder: they are frames of one recording."""
+    for suffix in formats.FRAMES:
+        folders = [os.path.dirname(path) for path in paths if path.lower().endswith(suffix)]
+        for folder in folders:
+            if folders.count(folder) > 1:
+                raise click.UsageError(
+                    f"several {suffix} files of one folder are frames of one recording: name the folder {folder or '.'}"
+                )
 
 
 def output_names(sources: Sequence[Source], suffixes: Mapping[str, str]) -> dict[str, str]:

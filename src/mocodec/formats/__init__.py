@@ -36,6 +36,7 @@ FORMATS = {
     ".glb": "mocodec.formats.gltf",
     ".gltf": "mocodec.formats.gltf",
     ".ply": "mocodec.formats.ply",
+    ".pcd": "mocodec.formats.pcd",
     ".sto": "mocodec.formats.opensim",
     ".mot": "mocodec.formats.opensim",
     ".csv": "mocodec.formats.delimited",
@@ -55,15 +56,15 @@ IMAGES = "mocodec.formats.rgbd"
 PICKLES = (".pkl", ".pickle")
 CAPTURE = "it is not read; export a .c3d from the program that captured it"
 POINTS = (
-    "of point clouds .ply is read, a folder with a file for each frame; convert these files to it, for example with "
-    "Open3D: write_point_cloud('0001.ply', read_point_cloud('0001.pcd'))"
+    "of point clouds .ply and .pcd are read, a folder with a file for each frame; convert these files to one of them, "
+    "for example with Open3D: write_point_cloud('0001.ply', read_point_cloud('0001.xyz'))"
 )
 NOT_READ = {
     **dict.fromkeys(
         PICKLES, "a pickle runs code when it is opened, so mocodec reads none; save its arrays with numpy.savez"
     ),
     **dict.fromkeys((".tak", ".mcp", ".tsv", ".trb", ".mvnx"), CAPTURE),
-    **dict.fromkeys((".pcd", ".xyz", ".pts", ".las", ".laz", ".e57", ".drc"), POINTS),
+    **dict.fromkeys((".xyz", ".pts", ".las", ".laz", ".e57", ".drc"), POINTS),
 }
 OTHERS = {
     **NOT_READ,
@@ -72,15 +73,19 @@ OTHERS = {
     ".asf": "an .asf is the skeleton of an .amc: name the .amc, with asf= (--asf) if they are apart",
 }
 """What to do with files of other suffixes; NOT_READ: with those to read."""
-CLOUDS = (".ply", ".npz")
+READ_ONLY = {".pcd": "a .pcd is read, not written; name a folder for .ply files, or an .npz"}
+"""Formats that are not written, and what to write instead."""
+CLOUDS = (".ply", ".pcd", ".npz")
 """Formats of point clouds; .npz stores motions too."""
+FRAMES = (".ply", ".pcd")
+"""Formats with a file for each frame: a folder or a glob of one of them is a recording."""
 
 MAX_MESSAGE_CHARACTERS = 400
 """Error messages are one line, whatever names a damaged file has."""
 
 
 def read(path: str | PathLike[str], **options: Any) -> Motion | PointClouds:
-    """Read a file by its suffix, or a folder or glob of .ply, or a folder of depth images (`formats.rgbd`).
+    """Read a file by its suffix, a folder or glob of .ply or of .pcd, or a folder of depth images (`formats.rgbd`).
 
     The options are those of the format's own `read`. Every format takes `up` (vertical axis), `unit` (of its lengths: a
     name, or metres) and `rate` (hertz) in place of what the file says; motions take `start`, the time of the first
@@ -91,14 +96,28 @@ def read(path: str | PathLike[str], **options: Any) -> Motion | PointClouds:
     path = Path(path)
     if is_images(path):
         return _read(IMAGES, path, options)
-    if path.is_dir() or (path.suffix.lower() == ".ply" and any(wildcard in str(path) for wildcard in "*?[")):
-        return _read(FORMATS[".ply"], path, options)
+    if path.is_dir():
+        return _read(FORMATS[_suffix_of_frames(path)], path, options)
+    if path.suffix.lower() in FRAMES and any(wildcard in str(path) for wildcard in "*?["):
+        return _read(FORMATS[path.suffix.lower()], path, options)
     if not path.suffix and not path.exists():
         raise BadInput(f"{path}: no such file or folder")
     module = _module(path)
     if not path.exists():
         raise BadInput(f"{path}: no such file")
     return _read(module, path, options)
+
+
+def _suffix_of_frames(folder: Path) -> str:
+    """The suffix of the frames in a folder; ".ply" without any. Raises BadInput for frames of two formats."""
+    try:
+        present = {file.suffix.lower() for file in folder.iterdir()} & set(FRAMES)
+    except OSError as error:
+        raise BadInput(f"{folder}: {error.strerror}") from error
+    if len(present) > 1:
+        kinds = " and ".join(sorted(present))
+        raise BadInput(f"{folder}: has {kinds} files, frames of two recordings; move one kind to another folder")
+    return present.pop() if present else FRAMES[0]
 
 
 def read_blocks(path: str | PathLike[str], **options: Any) -> Blocks:
@@ -194,9 +213,12 @@ def _module(path: Path, writes: bool = False) -> str:
     suffix = path.suffix.lower()
     if suffix in OTHERS and not (writes and suffix in NOT_READ):
         raise BadInput(f"{path}: {OTHERS[suffix]}")
+    if writes and suffix in READ_ONLY:
+        raise BadInput(f"{path}: {READ_ONLY[suffix]}")
     if suffix not in FORMATS:
         problem = f"unknown suffix {suffix!r}" if suffix else "a file needs a suffix"
-        raise BadInput(f"{path}: {problem}; the formats are {' '.join(FORMATS)} .mocz")
+        known = [known for known in FORMATS if not (writes and known in READ_ONLY)]
+        raise BadInput(f"{path}: {problem}; the formats are {' '.join(known)} .mocz")
     return FORMATS[suffix]
 
 
@@ -239,7 +261,7 @@ def read_options(path: str | PathLike[str]) -> frozenset[str]:
     path = Path(path)
     module = IMAGES if is_images(path) else FORMATS[".ply"] if path.is_dir() else _module(path)
     names = frozenset(_parameters(import_module(module).read)) | {"up"}
-    return names if module in (FORMATS[".ply"], IMAGES) else names | {"start"}
+    return names if module in (*(FORMATS[suffix] for suffix in FRAMES), IMAGES) else names | {"start"}
 
 
 def dropped(path: str | PathLike[str], motion: Motion | PointClouds) -> list[str]:

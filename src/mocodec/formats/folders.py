@@ -8,27 +8,28 @@ from collections.abc import Collection, Mapping
 from pathlib import Path
 from typing import Any
 
-from . import rgbd
+from . import FRAMES, rgbd
 
 COMPANIONS = {".amc": ".asf", ".gltf": ".bin"}
 """Files beside a source that belong to it, by suffix."""
 
 
 def below(path: str, suffixes: Collection[str]) -> list[str]:
-    """A file as it is; of a folder, files with these suffixes and folders of .ply files or images, at any depth."""
+    """A file as it is; of a folder, files with these suffixes and folders of frames or images, at any depth."""
     if not os.path.isdir(path):
         return [path]
+    frames = [suffix for suffix in FRAMES if suffix in suffixes]
     result: list[str] = []
     for folder, inner, names in os.walk(path):
         inner[:] = sorted(name for name in inner if not name.startswith("."))
         visible = [name for name in names if not name.startswith(".")]
-        if ".ply" in suffixes and rgbd.is_sequence(folder):
+        if frames and rgbd.is_sequence(folder):
             result.append(folder)
             inner.clear()
             continue
-        if ".ply" in suffixes and any(name.lower().endswith(".ply") for name in visible):
+        if any(name.lower().endswith(tuple(frames)) for name in visible):
             result.append(folder)
-        wanted = [s for s in suffixes if s != ".ply"]
+        wanted = [s for s in suffixes if s not in frames]
         found = [os.path.join(folder, name) for name in visible if os.path.splitext(name)[1].lower() in wanted]
         result += [file for file in found if os.path.isfile(file) or not os.path.exists(file)]  # no pipe, no device
     return result
