@@ -6,7 +6,9 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from scipy.spatial import KDTree
 
+import mocodec as mc
 from mocodec.codecs.bodycast import Bodycast, point_check, point_encoder
 from mocodec.codecs.bodycast.lattice_frames import LatticeFrame
 from mocodec.codecs.bodycast.point_encoder import PointEncoder, PointTarget
@@ -14,6 +16,7 @@ from mocodec.codecs.bodycast.point_layer import _OctreeOfFrame
 from mocodec.codecs.bodycast.point_scene import ChunkBodies
 from mocodec.entropy.bit_arrays import BitCheck, BitEncoder
 from mocodec.errors import CannotEncode, Corrupt
+from mocodec.pointcloud import PointClouds
 from mocodec.testing import actors, sequences
 
 pytest.importorskip("av")
@@ -118,3 +121,41 @@ def test_an_encoder_that_computes_what_a_decoder_does_not_is_refused(of_things, 
 
     monkeypatch.setattr(_OctreeOfFrame, "encode", moved)
     assert outcome(of_things, follows) is None
+
+
+def odd_scene() -> PointClouds:
+    """Two people and a thing that slides, coloured. Frames are empty, of one point, half empty, repeated, and wide."""
+    rng = np.random.default_rng(4)
+    people = sequences.pair(actors.capsules(), 10)
+    clouds = sequences.record(people, 250, noise_m=0.003, seed=4)
+    points = [np.concatenate([own, dish(k) + np.ones(3)]) for k, own in enumerate(clouds.positions)]
+    points[3], points[4] = points[3][:0], points[4][:1]
+    points[6], points[7] = points[6][points[6][:, 0] > 0], points[5]
+    points[8] = np.concatenate([points[8], rng.uniform(-20, 20, (5, 3))])
+    return PointClouds(points, 15.0, [rng.integers(0, 256, own.shape, np.uint8) for own in points])
+
+
+@pytest.mark.parametrize(("bound_m", "chunk_frames"), [(0.0004, 150), (0.004, 4), (0.03, 150)])
+def test_all_frames_decode_to_the_points_and_colours_that_were_coded(bound_m, chunk_frames, monkeypatch):
+    coded, finish = list[tuple[np.ndarray, np.ndarray]](), point_check.ChunkCheck.finish
+    monkeypatch.setattr(point_check, "FIRST_FRAMES", 1000)  # keeps what was coded; the decoder below has nothing of it
+
+    def kept(check, *stored):
+        coded.extend(check._first)
+        check._first.clear()
+        finish(check, *stored)
+
+    monkeypatch.setattr(point_check.ChunkCheck, "finish", kept)
+    clouds, skeleton = odd_scene(), sequences.pair(actors.capsules(), 10)[0].skeleton()
+    data = mc.encode(clouds, Bodycast(max_error=bound_m, skeleton=skeleton, chunk_frames=chunk_frames))
+    decoded = mc.decode(data, PointClouds)
+    assert decoded.colours is not None
+    found = [own for own in zip(decoded.positions, decoded.colours, strict=True) if len(own[0])]
+    for (points, colours), (expected, expected_colours) in zip(found, coded, strict=True):
+        np.testing.assert_array_equal(points, expected)
+        np.testing.assert_array_equal(colours, expected_colours)
+    for own, back in zip(clouds.positions, decoded.positions, strict=True):
+        assert (
+            len(own) == len(back) == 0
+            or max(KDTree(own).query(back)[0].max(), KDTree(back).query(own)[0].max()) <= bound_m
+        )

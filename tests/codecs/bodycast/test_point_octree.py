@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 
 import numpy as np
 import pytest
 
 from mocodec import native
-from mocodec.codecs.bodycast import cube_octree, integer_surface, octree, point_octree
+from mocodec.codecs.bodycast import cube_octree, integer_surface, octree, point_choice, point_octree
+from mocodec.codecs.bodycast.lattice_frames import LatticeFrame, LatticeGrid
 from mocodec.codecs.bodycast.surface_hints import NORMAL_BITS, SUBUNIT_BITS, SurfaceHints
 from mocodec.entropy.bit_arrays import BitDecoder, BitEncoder
 from mocodec.errors import Corrupt
@@ -85,6 +87,25 @@ def test_compiled_and_numpy_octrees_are_the_same(code_octree, depth, points, sam
     assert data == pure
     for ours, theirs in zip(found, expected, strict=True):
         np.testing.assert_array_equal(ours, theirs)
+
+
+@compiled
+@pytest.mark.parametrize(("depth", "points", "samples", "far"), [(5, 33, 14, 3), (8, 900, 300, 100), (20, 200, 60, 1)])
+def test_samples_kept_from_a_choice_are_those_of_other_points_too(depth, points, samples, far):
+    encoder, frames = BitEncoder(), list[tuple[np.ndarray, SurfaceHints]]()
+    for seed in range(4):
+        codes, hints = scene(depth, points, samples, far, seed)
+        assert hints is not None
+        cells = octree.cells_of_codes(codes)
+        source = LatticeFrame(codes, None, np.asarray(cells * 0.01, np.float64), np.arange(len(codes)))
+        chosen = point_choice.chosen_cells(source, LatticeGrid(0.01, np.zeros(3, np.int64), depth), hints, 0.012)
+        coded = (chosen.codes, codes, codes[::3], scene(depth, points, 0, seed=seed + 9)[0])[seed]
+        cube_octree.code_octree(encoder, coded, depth, len(coded), hints)
+        frames.append((coded, replace(hints)))  # of which nothing is kept
+    decoder = BitDecoder(encoder.finish())
+    for codes, hints in frames:
+        np.testing.assert_array_equal(cube_octree.code_octree(decoder, None, depth, len(codes), hints)[0], codes)
+    decoder.finish()
 
 
 @compiled
