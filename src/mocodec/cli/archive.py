@@ -292,8 +292,8 @@ def extract(db: str, names: tuple[str, ...], output: str, condition: str | None,
     recordings that are damaged, or that the format cannot store, are listed, and the others are written.
     """
     suffix = "." + format_.lower().lstrip(".")
-    if suffix != files.SUFFIX and suffix not in formats.FORMATS:
-        known = ", ".join(known[1:] for known in (files.SUFFIX, *formats.FORMATS))
+    if suffix != files.SUFFIX and suffix not in formats.WRITABLE:
+        known = ", ".join(known[1:] for known in (files.SUFFIX, *formats.WRITABLE))
         raise click.UsageError(f"--format is one of {known}, not {format_[:40]!r}")
     code = 0
     with archive.open_archive(db) as opened:

@@ -122,8 +122,8 @@ def suffix_of(source: str, format_: str | None) -> str:
     """
     if format_ is not None:
         suffix = f".{format_.lower().lstrip('.')}"
-        if suffix not in formats.FORMATS:
-            raise click.UsageError(f"unknown format {format_!r}; the formats are {' '.join(formats.FORMATS)}")
+        if suffix not in formats.WRITABLE:
+            raise click.UsageError(f"{format_!r} is no format to write; the formats are {' '.join(formats.WRITABLE)}")
         return suffix
     try:
         with api.open(files.source_of(source)) as opened:
@@ -133,7 +133,7 @@ def suffix_of(source: str, format_: str | None) -> str:
         return ".npz"
     if not is_motion:
         return ".npz" if suffix == ".npz" else ""
-    return suffix if suffix in formats.FORMATS else ".npz"
+    return suffix if suffix in formats.WRITABLE else ".npz"
 
 
 def refuse_other_formats(source: str, output: str) -> None:

@@ -75,6 +75,8 @@ OTHERS = {
 """What to do with files of other suffixes; NOT_READ: with those to read."""
 READ_ONLY = {".pcd": "a .pcd is read, not written; name a folder for .ply files, or an .npz"}
 """Formats that are not written, and what to write instead."""
+WRITABLE = tuple(suffix for suffix in FORMATS if suffix not in READ_ONLY)
+"""Formats that are written."""
 CLOUDS = (".ply", ".pcd", ".npz")
 """Formats of point clouds; .npz stores motions too."""
 FRAMES = (".ply", ".pcd")
@@ -217,8 +219,7 @@ def _module(path: Path, writes: bool = False) -> str:
         raise BadInput(f"{path}: {READ_ONLY[suffix]}")
     if suffix not in FORMATS:
         problem = f"unknown suffix {suffix!r}" if suffix else "a file needs a suffix"
-        known = [known for known in FORMATS if not (writes and known in READ_ONLY)]
-        raise BadInput(f"{path}: {problem}; the formats are {' '.join(known)} .mocz")
+        raise BadInput(f"{path}: {problem}; the formats are {' '.join(WRITABLE if writes else FORMATS)} .mocz")
     return FORMATS[suffix]
 
 
