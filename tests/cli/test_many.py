@@ -210,6 +210,7 @@ def test_outputs_never_collide(names: Sequence[str], outputs: Sequence[str]) -> 
         ["encode", "in", "-o", "out", "--codec", "lossless", "--max-error", "1mm"],
         ["decode", "in", "-o", "out"],
         ["decode", "in", "-o", "out", "--format", "docx"],
+        ["decode", "x.mocz", "-o", "x.npz", "--format", "trc"],
         ["verify", "in"],
         ["verify", "x.mocz", "y.mocz", "--against", "in/a.trc"],
     ],

@@ -65,6 +65,8 @@ def command(
         given = {name: list(value) if isinstance(value, tuple) else value for name, value in options.items() if value}
         work = many.Settings({"format_": format_, **given}, jobs, again, as_json, quiet)
         return many.run("decode", found, many.output_names(found, suffixes), output, work)
+    if format_ and output != "-":
+        raise click.UsageError(f"--format is for standard output and many files; the suffix of {output} says its own")
     source = sources[0]
     refuse_other_formats(source, output)
     files.refuse_output(source, output)
