@@ -215,6 +215,18 @@ def start(*arguments: object, **options: object) -> subprocess.Popen[bytes]:
     return subprocess.Popen([sys.executable, "-m", "mocodec", *map(str, arguments)], stderr=subprocess.PIPE, **options)  # type: ignore[call-overload]
 
 
+def wait_until_idle(process: subprocess.Popen[bytes]) -> None:
+    """Returns when the process has used no processor time for a second, for half a minute at most."""
+    stat = Path(f"/proc/{process.pid}/stat")
+    used, since = "", 0
+    for _ in range(60):
+        time.sleep(0.5)
+        now = stat.read_text().rsplit(")")[-1].split()[11] if stat.exists() else ""
+        used, since = (now, 0) if now != used else (used, since + 1)
+        if since >= 2:
+            return
+
+
 def test_pipes(walk_trc: Path) -> None:
     def through(data: bytes, *arguments: str) -> bytes:
         done = subprocess.run(
@@ -239,7 +251,7 @@ def test_a_broken_pipe_is_quiet(walk_trc: Path) -> None:
 
 def test_interrupt_is_quiet(walk_trc: Path) -> None:
     process = start("info", "-", stdin=subprocess.PIPE, stdout=subprocess.PIPE, preexec_fn=restore_sigint)
-    time.sleep(1.5)  # it waits for standard input
+    wait_until_idle(process)  # it waits for standard input
     process.send_signal(signal.SIGINT)
     _, err = process.communicate(timeout=30)
     assert err.decode().splitlines() == ["mocodec: interrupted"]
