@@ -4,11 +4,11 @@
     part of the chunk ─► header equal, streams equal ──────┴─► decoded points equal the coded ones
     coded points ─► distances ≤ bound
 
-`ChunkCheck` follows the encoder. Whatever else a decoder computes is a function of the header, the bodies and earlier
-bits, so it is shared: while all of these are equal, it decodes the points of the encoder. The bodies are those that a
-decoder reads from the file (`BodyEncoder.model`). That encoder and decoder compute the same is checked with the first
-frames, which are decoded by the decoder alone. `check_decoded` decodes all
-frames so, for encoders that keep no bits.
+`ChunkCheck` follows the encoder. Besides bits, a decoder computes only what follows from the header, the bodies and
+earlier bits. The encoder has computed it from the same, so the check shares it, as long as all bits are equal. The
+bodies are those that a decoder reads from the file (`BodyEncoder.model`). The first frames are decoded by the decoder
+alone, which would show an encoder that computes otherwise. `check_decoded` decodes all frames so, for encoders that
+keep no bits.
 """
 
 from __future__ import annotations
