@@ -240,6 +240,11 @@ def test_compare_recordings_of_different_length(command: Command, walk_trc: Path
     assert "cannot compare" in result.err
 
 
+def test_decode_takes_the_format_that_the_suffix_says(command: Command, walk_mocz: Path) -> None:
+    assert command("decode", walk_mocz, "-o", "back.trc", "--format", "TRC").code == 0
+    assert Path("back.trc").read_bytes().startswith(b"PathFileType")
+
+
 def test_cut_to_a_format(command: Command, walk_mocz: Path, walk_trc: Path) -> None:
     assert command("cut", walk_mocz, "--from", "0.5s", "--to", "1.25s", "-o", "part.npz").code == 0
     part, whole = mc.read("part.npz"), mc.read(walk_mocz)

@@ -291,7 +291,7 @@ def extract(db: str, names: tuple[str, ...], output: str, condition: str | None,
     NAMES or a --query choose recordings; without them, all of the archive DB are written. Every byte is checked;
     recordings that are damaged, or that the format cannot store, are listed, and the others are written.
     """
-    suffix = "." + format_.lower().lstrip(".")
+    suffix = files.suffix_of_format(format_)
     if suffix != files.SUFFIX and suffix not in formats.WRITABLE:
         known = ", ".join(known[1:] for known in (files.SUFFIX, *formats.WRITABLE))
         raise click.UsageError(f"--format is one of {known}, not {format_[:40]!r}")

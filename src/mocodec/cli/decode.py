@@ -65,7 +65,7 @@ def command(
         given = {name: list(value) if isinstance(value, tuple) else value for name, value in options.items() if value}
         work = many.Settings({"format_": format_, **given}, jobs, again, as_json, quiet)
         return many.run("decode", found, many.output_names(found, suffixes), output, work)
-    if format_ and output != "-":
+    if files.contradicts(format_, output):
         raise click.UsageError(f"--format is for standard output and many files; the suffix of {output} says its own")
     source = sources[0]
     refuse_other_formats(source, output)
@@ -73,7 +73,7 @@ def command(
     lost: list[str] = []
     changes, writer_options = output_options.split(options)
     more: dict[str, Any] = {}
-    suffix = Path(f"x.{format_.lstrip('.')}" if format_ else output).suffix.lower()
+    suffix = files.suffix_of_format(format_) if format_ else Path(output).suffix.lower()
     with files.working(f"decoding {source}"):
         if salvage:
             recording, lost = salvaged(container.Reader(files.source_of(source), salvage=True))
@@ -123,7 +123,7 @@ def suffix_of(source: str, format_: str | None) -> str:
     "" for the folder of a point cloud's frames; .npz if the file does not say its format or cannot be opened.
     """
     if format_ is not None:
-        suffix = f".{format_.lower().lstrip('.')}"
+        suffix = files.suffix_of_format(format_)
         if suffix not in formats.WRITABLE:
             raise click.UsageError(f"{format_!r} is no format to write; the formats are {' '.join(formats.WRITABLE)}")
         return suffix

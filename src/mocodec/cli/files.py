@@ -147,6 +147,16 @@ def source_of(name: str) -> api.Source:
     return StandardInput() if name == "-" else name if is_url(name) else Path(name)
 
 
+def suffix_of_format(format_: str) -> str:
+    """The suffix of a format's name: .trc for trc, .trc or TRC."""
+    return f".{format_.lower().lstrip('.')}"
+
+
+def contradicts(format_: str | None, name: str) -> bool:
+    """Whether a --format is given for a named file whose suffix says another one."""
+    return bool(format_) and name != "-" and Path(name).suffix.lower() != suffix_of_format(str(format_))
+
+
 def read(name: str, format_: str | None = None, **options: Any) -> Motion | PointClouds:
     """Read a file, a URL of a .mocz, ARCHIVE/NAME or standard input.
 
@@ -158,10 +168,9 @@ def read(name: str, format_: str | None = None, **options: Any) -> Motion | Poin
         require_no_options(name, options)
         return api.decode(source_of(name))
     if name != "-":
-        path = Path(name)
-        if format_ and path.suffix.lower() != f".{format_.lower().lstrip('.')}":
+        if contradicts(format_, name):
             raise BadInput(f"--format is for standard input; the suffix of {name} says its format")
-        return with_notes(name, api.read(path, **options))
+        return with_notes(name, api.read(Path(name), **options))
     data = StandardInput()
     if format_ is None or format_.lower() == SUFFIX[1:]:
         require_no_options("standard input", options)
@@ -170,7 +179,7 @@ def read(name: str, format_: str | None = None, **options: Any) -> Motion | Poin
         except BadInput as error:
             raise BadInput(f"{error}; name its format, such as --format c3d") from error
     with tempfile.TemporaryDirectory() as folder:
-        path = Path(folder) / f"stdin.{format_.lower().lstrip('.')}"
+        path = Path(folder) / f"stdin{suffix_of_format(format_)}"
         path.write_bytes(data.getvalue())
         try:
             return with_notes("standard input", api.read(path, **options))
@@ -212,7 +221,7 @@ def takes(name: str, format_: str | None, option: str) -> bool:
     """Whether the reader of a file has an option. format_: that of standard input."""
     if holds_compressed(name, format_):
         return False
-    return option in formats.read_options(f"x.{format_.lower().lstrip('.')}" if name == "-" and format_ else name)
+    return option in formats.read_options(f"x{suffix_of_format(format_)}" if name == "-" and format_ else name)
 
 
 def with_known_rate(name: str, options: dict[str, Any], known: Motion | PointClouds | None) -> dict[str, Any]:
@@ -276,7 +285,7 @@ def write(
         raise click.UsageError("standard output needs --format c3d, trc, npz, …")
     refuse_terminal()
     with tempfile.TemporaryDirectory() as folder:
-        path = Path(folder) / f"stdout.{format_.lower().lstrip('.')}"
+        path = Path(folder) / f"stdout{suffix_of_format(format_)}"
         api.write(path, motion, **options)
         sys.stdout.buffer.write(path.read_bytes())
         print_dropped(path.suffix, motion, quiet)

@@ -196,6 +196,7 @@ class Bodycast:
         return 0.0 if isinstance(self.residual, str) else float(self.residual)
 
     def require_settings(self) -> None:
+        """Raises BadInput for settings that cannot be used."""
         if (isinstance(self.residual, str) and self.residual != EXACT) or not 0 <= self._percent <= 100:
             raise BadInput(f'residual is a percentage from 0 to 100, or "{EXACT}"')
         if not 100 <= self.cells <= 1_000_000 or not (self.points is None or 1 <= self.points <= MAX_POINTS):
